@@ -29,25 +29,26 @@ from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
-from baselines.kinematic_solver_controller import UnreachableReference
-from baselines.reference_ahead import AheadSettings, delay_of, interpolated
-from baselines.shaped_signal import Past, ShapedSignal
-from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
+from baselines.kinematic_solver_controller import UnreachableReference, rest_at
+from baselines.lookahead import LookaheadSettings, delay_of, interpolated
+from baselines.shaped_signal import ShapedSignal, SignalHistory
+from baselines.shapers import SHAPER_NAMES, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 
-Directions = Literal["modal", "all"]
-FADE = 2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
-GRID = 5  # poses along each side of the workspace box in which the slowest sway is looked for
+ShapingDirections = Literal["modal", "all"]
+CONTROLLER_NAME = "input_shaping"  # in messages
+UNEXCITED_MASS_RATIO = 2e-3  # epsilon: below this share of the mass a mode is not excited
+WORKSPACE_GRID_POSES = 5  # along each side of the workspace box, to find the slowest sway
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputShapingSettings(AheadSettings):
+class InputShapingSettings(LookaheadSettings):
     """Settings of `InputShaping`.
 
     Attributes:
@@ -62,22 +63,23 @@ class InputShapingSettings(AheadSettings):
 
     shaper: Shaper = "zv"
     frequency_max: float = 3.0
-    directions: Directions = "modal"
+    directions: ShapingDirections = "modal"
     preview: bool = True
     start_time: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         super().__post_init__()
-        for name, allowed in (("shaper", SHAPERS), ("directions", get_args(Directions))):
+        for name, allowed in (
+            ("shaper", SHAPER_NAMES),
+            ("directions", get_args(ShapingDirections)),
+        ):
             if getattr(self, name) not in allowed:
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if not isinstance(self.preview, bool):
             raise InvalidField("preview", repr(self.preview), "true or false")
-        if not 0.0 <= self.frequency_max < np.inf:
-            raise InvalidField("frequency_max", f"{self.frequency_max} Hz", "frequency_max >= 0")
-        if not 0.0 < self.start_time < np.inf:
-            raise InvalidField("start_time", f"{self.start_time} s", "start_time > 0")
+        check_not_negative("frequency_max", self.frequency_max, "Hz")
+        check_positive("start_time", self.start_time, "s")
 
 
 class InputShaping:
@@ -120,7 +122,7 @@ class InputShaping:
         self._forget(len(belief.position))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of rest at the shaped reference.
+        """Return the lengths of rest at the shaped reference.
 
         Raises:
             UnreachableReference: There is no stable rest within the tension limits there.
@@ -132,25 +134,25 @@ class InputShaping:
         aim = interpolated(when, reference.time, reference.position)[:, 0]
         if self.modes:
             aim = self._shaped(aim, reference)
-        rest = self._rest(aim + self._correction)
+        rest = rest_at(self._robot, aim + self._correction, CONTROLLER_NAME)
         return Command(time=belief.time, unstrained_length=rest.unstrained_length)
 
     def _forget(self, size: int) -> None:
         """Start anew with B robots at rest."""
         self._correction = np.zeros((size, 3))
         self._start = None
-        self._past = [Past() for _ in self.lag]
+        self._past = [SignalHistory() for _ in self.lag]
         self._signals = [ShapedSignal(self._settings.shaper) for _ in range(self.modes)]
 
     def _shaped(self, aim: Array, reference: Reference) -> Array:
-        """The reference after the shapers [m], (B, 3), whose unshaped value is `aim`."""
+        """Return the shaped reference [m], (B, 3), whose unshaped value is `aim`."""
         now = reference.time[:, 0]
         if self._start is None:
             self._start = now
         elif not (now > self._past[0].last).all():
             allowed = "later than in the last call, or reset() in between"
             raise InvalidField("reference.time[0]", f"{now} s", allowed)
-        modes = sway_modes(self._robot, self._rest(aim), self.modes)
+        modes = sway_modes(self._robot, rest_at(self._robot, aim, CONTROLLER_NAME), self.modes)
         if not (modes.frequency > 0.0).all():
             row = int((~(modes.frequency > 0.0)).any(axis=1).argmax())
             raise UnreachableReference(
@@ -166,7 +168,7 @@ class InputShaping:
         return made[-1] if chained else self._joined(aim, np.stack(made, axis=1), modes.excitation)
 
     def _stiffening(self, reference: Reference) -> Array:
-        """How much faster a pendulum swings in a frame that accelerates upwards, shape (B, 1).
+        """Return the frequency ratio of a pendulum in the accelerated frame, shape (B, 1).
 
         Within a quarter of gravity and four times as much: half and twice the frequency.
         """
@@ -175,7 +177,7 @@ class InputShaping:
         return np.asarray(np.sqrt(np.clip(1.0 + rise / self._robot.gravity, 0.25, 4.0)))
 
     def _prepared(self, reference: Reference, delays: list[Array], elapsed: Array) -> list[Array]:
-        """What each shaper gets, (B, 3) each: read ahead, so that what it makes is centred in time.
+        """Return the input of each shaper, (B, 3), read ahead so that its output is in time.
 
         The look ahead grows smoothly after the reset. It is as long as the slowest pose of the
         workspace needs; where the mode is faster, the rest is waited for.
@@ -202,45 +204,36 @@ class InputShaping:
         """
         along = np.einsum("bki,bki->bk", excitation, shaped - aim[:, None])
         gram = excitation @ excitation.swapaxes(1, 2)
-        small = FADE * self._robot.mass * np.eye(self.modes)
+        small = UNEXCITED_MASS_RATIO * self._robot.mass * np.eye(self.modes)
         weights = np.linalg.solve(gram + small, along[..., None])
         return aim + np.asarray((excitation.swapaxes(1, 2) @ weights)[..., 0])
 
     def _delays(self, modes: SwayModes) -> list[Array]:
-        """Mean delay of each shaper [s], (B,) each; of all together where they act on all."""
+        """Return the mean delay of each shaper [s], (B,); one of all where they act in series."""
         kind, columns = self._settings.shaper, range(modes.frequency.shape[1])
         each = [
             mean_delay(impulses(kind, modes.frequency[:, k], modes.damping[:, k])) for k in columns
         ]
         return [np.sum(each, axis=0)] if self._settings.directions == "all" else each
 
-    def _rest(self, position: Array) -> Equilibrium:
-        """Poses of rest at positions (B, 3) [m]."""
-        rest = statics.inverse_kinematics(self._robot, position)
-        if not rest.converged.all():
-            row = int((~rest.converged).argmax())
-            raise UnreachableReference(
-                f"input_shaping: position {position[row].round(4)} m: "
-                f"{statics.STATUS_REASONS[rest.status[row]]}"
-            )
-        return rest
-
     def _largest_delays(self) -> Array:
-        """Mean delay of each shaper where the workspace box has its slowest sway [s]."""
+        """Return the mean delay of each shaper at the slowest sway of the workspace box [s]."""
         if self.modes == 0:
             return np.zeros(0)
         box = zip(self._robot.workspace_min, self._robot.workspace_max, strict=True)
-        sides = [np.linspace(low, high, GRID) for low, high in box]
+        sides = [np.linspace(low, high, WORKSPACE_GRID_POSES) for low, high in box]
         poses = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
         rest = statics.inverse_kinematics(self._robot, poses)
         usable = rest.converged & rest.stable
         poses = np.vstack([self._robot.home_position, poses[usable]])
-        delays = self._delays(sway_modes(self._robot, self._rest(poses), self.modes))
+        delays = self._delays(
+            sway_modes(self._robot, rest_at(self._robot, poses, CONTROLLER_NAME), self.modes)
+        )
         return np.array([delay.max() for delay in delays])
 
 
 def _slow_modes(robot: Robot, frequency_max: float) -> int:
-    """How many modes at home are slower than a limit.
+    """Count the modes at home that are slower than a limit.
 
     Raises:
         UnreachableReference: The robot cannot rest at home.

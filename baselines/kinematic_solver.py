@@ -108,9 +108,9 @@ class KinematicSolver:
     ) -> Belief:
         """Solve from a guess, again without one where that fails, and keep what is good."""
         lengths = measurement.unstrained_length
-        found = forward_kinematics(self._robot, lengths, guess=guess)
-        again = ~_is_good(found) & (self._settings.restart and guess is not None)
-        result = _pose_and_forces(found)
+        rest = forward_kinematics(self._robot, lengths, guess=guess)
+        again = ~_is_good(rest) & (self._settings.restart and guess is not None)
+        result = _pose_and_forces(rest)
         if again.any():
             second = _pose_and_forces(forward_kinematics(self._robot, lengths[again]))
             result = {name: _put(result[name], again, second[name]) for name in result}
@@ -129,36 +129,36 @@ class KinematicSolver:
                 failures=record.failures + ~good,
                 restarts=record.restarts + again,
                 unseeded=record.unseeded + int(self._by_pose and measurement.pose is None),
-                solution=found if good.all() and not again.any() else None,
+                solution=rest if good.all() and not again.any() else None,
             ),
         )
 
 
-def _pose_and_forces(found: Equilibrium) -> dict[str, NDArray[Any]]:
-    """What a belief takes from a solve, row by row."""
+def _pose_and_forces(rest: Equilibrium) -> dict[str, NDArray[Any]]:
+    """Return the parts of a solution that a belief takes, row by row."""
     return {
-        "position": found.position,
-        "rotation": found.rotation,
-        "tension": found.tension,
-        "residual": found.residual,
-        "good": _is_good(found),
+        "position": rest.position,
+        "rotation": rest.rotation,
+        "tension": rest.tension,
+        "residual": rest.residual,
+        "good": _is_good(rest),
     }
 
 
-def _is_good(found: Equilibrium) -> NDArray[np.bool_]:
-    """Where a solve gave a pose at which the platform can rest."""
-    return np.asarray(found.converged & found.stable)
+def _is_good(rest: Equilibrium) -> NDArray[np.bool_]:
+    """Return where a solution is a pose at which the platform can rest."""
+    return np.asarray(rest.converged & rest.stable)
 
 
 def _put(old: NDArray[Any], where: NDArray[np.bool_], new: NDArray[Any]) -> NDArray[Any]:
-    """A copy of `old` with the rows of `where` replaced."""
+    """Return a copy of `old` with the rows of `where` replaced."""
     result = np.array(old)
     result[where] = new
     return result
 
 
 def _keep_tension(good: NDArray[np.bool_], new: Array, old: Array | None) -> Array | None:
-    """New tensions where they are good, the last good ones elsewhere; None where there are none."""
+    """Return new tensions where they are good, else the last good ones; None without any."""
     if good.all():
         return new
     return None if old is None else np.where(good[:, None], new, old)

@@ -9,19 +9,19 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-SHORTEST = 1e-6  # [s] between two readings
-AHEAD = 0.1  # [s] for which the last rate goes on
-PATIENCE = 5  # readings in a row that agree with each other cannot all be outliers
-STAYS = 0.5  # of a jump: a reading that is off by less is no part of it
-BACK = 0.25  # of a jump: off by less after one back, soon, encoders are where they were
-SOON = 2.0  # [s]: a fault that ends has ended by then
-JITTER = 5e-3  # [m] by which a reading may miss what the last ones led to expect
-SLIP_DOUBT = 5e-3  # [m]: one sigma of how far an encoder slipped
-FROZEN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
+READING_INTERVAL_MIN_S = 1e-6
+EXTRAPOLATION_TIME_S = 0.1  # for which the last rate goes on
+AGREEING_READINGS_MIN = 5  # readings in a row that agree with each other cannot all be outliers
+JUMP_KEPT_RATIO = 0.5  # of a jump: a reading that is off by less is no part of it
+JUMP_RETURN_RATIO = 0.25  # of a jump: an encoder that is off by less soon after has come back
+JUMP_RETURN_TIME_S = 2.0  # in which a fault that ends has ended
+READING_JITTER_M = 5e-3  # by which a reading may miss the expectation
+SLIP_DEVIATION_M = 5e-3  # of the estimated slip of an encoder
+FROZEN_READINGS_MIN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Outliers:
+class LengthOutliers:
     """The last readings of one robot, which are not believed so far.
 
     Attributes:
@@ -42,7 +42,7 @@ class Outliers:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
+class LengthReadings:
     """The last length readings of one robot.
 
     Attributes:
@@ -66,7 +66,7 @@ class Readings:
     had_slid: Array
     frozen: Array
     slid_at: float = -np.inf
-    outliers: Outliers | None = None
+    outliers: LengthOutliers | None = None
     sound: int = 1
     rejected: int = 0
     slipped: Array | None = None
@@ -74,16 +74,18 @@ class Readings:
     corrected: int = 0
 
     @classmethod
-    def first(cls, time: float, length: Array, slid: Array | None = None) -> Readings:
-        """One reading (n,) [m] of encoders that may have slipped before, by (n,) [m]."""
+    def first(cls, time: float, length: Array, slid: Array | None = None) -> LengthReadings:
+        """Start with one reading (n,) [m] of encoders that slipped by (n,) [m] before."""
         nothing = np.zeros(len(length))
         slid = nothing if slid is None else slid
         return cls(
             time=np.array([time]), length=length[None], slid=slid, had_slid=slid, frozen=nothing
         )
 
-    def taken(self, time: float, length: Array, robot: Robot, jump: float, keep: float) -> Readings:
-        """With one more reading, if it is one, and can be true.
+    def taken(
+        self, time: float, length: Array, robot: Robot, jump: float, keep: float
+    ) -> LengthReadings:
+        """Add a reading, if it is new and can be true.
 
         A cable that jumps farther than its winch can wind, and stays there, has not moved: its
         encoder slipped, and so have others that jumped with it, less far. Earlier readings are then
@@ -100,48 +102,57 @@ class Readings:
             keep: Time from which on earlier readings are needed [s].
         """
         last = self.time[-1] if self.outliers is None else self.outliers.time
-        if time - last < SHORTEST:
+        if time - last < READING_INTERVAL_MIN_S:
             return self
-        found = self._outliers(time, length, robot, jump)
+        outliers = self._outliers(time, length, robot, jump)
         nothing = np.zeros(len(length))
-        if found is None:
+        if outliers is None:
             sound = self.sound + 1 if self.outliers is None else 1
             return self._believed(time, length, nothing, sound, keep)
-        if found.agree < PATIENCE:
-            return replace(self, outliers=found, rejected=self.rejected + 1, slipped=None)
-        if self.sound < PATIENCE or not found.prompt:
-            new = self._believed(time, length, nothing, PATIENCE, keep)
+        if outliers.agree < AGREEING_READINGS_MIN:
+            return replace(self, outliers=outliers, rejected=self.rejected + 1, slipped=None)
+        if self.sound < AGREEING_READINGS_MIN or not outliers.prompt:
+            new = self._believed(time, length, nothing, AGREEING_READINGS_MIN, keep)
             return replace(new, corrected=self.corrected + 1)
-        stuck = (self.frozen >= FROZEN) & (self.frozen < FROZEN).any()
-        return self._believed(time, length, np.where(stuck, 0.0, found.offset), PATIENCE, keep)
+        stuck = (self.frozen >= FROZEN_READINGS_MIN) & (self.frozen < FROZEN_READINGS_MIN).any()
+        return self._believed(
+            time, length, np.where(stuck, 0.0, outliers.offset), AGREEING_READINGS_MIN, keep
+        )
 
-    def _outliers(self, time: float, length: Array, robot: Robot, jump: float) -> Outliers | None:
-        """The outliers with one more reading; None if it is none."""
+    def _outliers(
+        self, time: float, length: Array, robot: Robot, jump: float
+    ) -> LengthOutliers | None:
+        """Return the outliers with one more reading; None if it is none."""
         before = self.outliers
         if before is not None:
             wound = robot.speed_max * (time - before.time)
-            if (np.abs(length - before.length) <= wound + JITTER).all():
+            if (np.abs(length - before.length) <= wound + READING_JITTER_M).all():
                 return replace(before, time=time, length=length, agree=before.agree + 1)
         step = time - self.time[-1]
         far = np.abs(length - self.length[-1]) > robot.speed_max * step + jump
         off = length - self.at(time)
         if before is not None:
-            wound = robot.speed_max * max(step - AHEAD, 0.0)
-            far |= np.abs(off) > np.maximum(STAYS * np.abs(before.offset), wound + jump)
+            wound = robot.speed_max * max(step - EXTRAPOLATION_TIME_S, 0.0)
+            far |= np.abs(off) > np.maximum(JUMP_KEPT_RATIO * np.abs(before.offset), wound + jump)
         if not far.any():
             return None
-        jumped = far | (np.abs(off) > JITTER + robot.acceleration_max * step**2)
+        jumped = far | (np.abs(off) > READING_JITTER_M + robot.acceleration_max * step**2)
         offset = np.where(jumped, off, 0.0)
-        return Outliers(time=time, length=length, offset=offset, prompt=step <= AHEAD + SHORTEST)
+        return LengthOutliers(
+            time=time,
+            length=length,
+            offset=offset,
+            prompt=step <= EXTRAPOLATION_TIME_S + READING_INTERVAL_MIN_S,
+        )
 
     def _believed(
         self, time: float, length: Array, slipped: Array, sound: int, keep: float
-    ) -> Readings:
-        """With a reading that is believed, before which encoders slipped (n,) [m]."""
+    ) -> LengthReadings:
+        """Add a reading that is believed, before which encoders slipped by (n,) [m]."""
         slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
         if slipped.any():
-            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < SOON
-            if soon and left < BACK * np.linalg.norm(slipped):
+            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < JUMP_RETURN_TIME_S
+            if soon and left < JUMP_RETURN_RATIO * np.linalg.norm(slipped):
                 slid, slipped = had_slid, had_slid - self.slid
             had_slid, slid_at = self.slid, time
         first = max(0, int(np.searchsorted(self.time, keep, side="right")) - 2)
@@ -159,8 +170,8 @@ class Readings:
             slips=self.slips + int(np.count_nonzero(slipped)),
         )
 
-    def held(self, time: float) -> Readings:
-        """As if the last reading had come once more at a later time [s]."""
+    def held(self, time: float) -> LengthReadings:
+        """Repeat the last reading at a later time [s]."""
         return replace(
             self,
             time=np.append(self.time[-1:], time),
@@ -168,11 +179,11 @@ class Readings:
         )
 
     def at(self, time: float) -> Array:
-        """Reading at a time [m], shape (n,)."""
+        """Return the reading at a time [m], shape (n,)."""
         last = self.time[-1]
         if time > last and len(self.time) > 1:
             rate = (self.length[-1] - self.length[-2]) / (last - self.time[-2])
-            return np.asarray(self.length[-1] + min(time - last, AHEAD) * rate)
+            return np.asarray(self.length[-1] + min(time - last, EXTRAPOLATION_TIME_S) * rate)
         k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
         if len(self.time) == 1 or time <= self.time[0]:
             return np.asarray(self.length[0])
@@ -180,11 +191,14 @@ class Readings:
         return np.asarray(self.length[k - 1] + share * (self.length[k] - self.length[k - 1]))
 
     def knots(self, start: float, end: float, short: float) -> list[float]:
-        """Times at which the path bends between two others [s], the end included.
+        """Return the times at which the path bends between two others [s], with the end.
 
         Where those are no farther apart than `short` [s], the bend is lost in the noise.
         """
         if end - start <= short:
             return [end]
-        inside = self.time[(self.time > start + SHORTEST) & (self.time < end - SHORTEST)]
+        inside = self.time[
+            (self.time > start + READING_INTERVAL_MIN_S)
+            & (self.time < end - READING_INTERVAL_MIN_S)
+        ]
         return [*inside.tolist(), end]

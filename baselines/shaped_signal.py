@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.reference_ahead import interpolated
+from baselines.lookahead import interpolated
 from baselines.shapers import Shaper, impulses
 from carosac_toolkit.base.arrays import Array
 
 
-class Past:
-    """What a signal was; before its first sample it was what it was then."""
+class SignalHistory:
+    """Past samples of a signal, constant before the first one."""
 
     def __init__(self) -> None:
         self._at: Array = np.zeros((0, 0))
@@ -19,12 +19,12 @@ class Past:
 
     @property
     def empty(self) -> bool:
-        """Whether it has no sample yet."""
+        """True before the first sample."""
         return self._at.size == 0
 
     @property
     def last(self) -> Array:
-        """Where the last sample is, shape (B,)."""
+        """Time or phase of the last sample, shape (B,)."""
         return self._at[:, -1]
 
     def add(self, at: Array, value: Array, keep: float) -> None:
@@ -44,7 +44,7 @@ class Past:
         self._value = np.concatenate([self._value[:, -count:], value[:, None]], axis=1)
 
     def at(self, where: Array) -> Array:
-        """Values at (B, M) times or phases, linear between samples: (B, M, 3)."""
+        """Interpolate values at (B, M) times or phases: (B, M, 3)."""
         return interpolated(where, self._at, self._value)
 
 
@@ -53,7 +53,7 @@ class ShapedSignal:
 
     def __init__(self, shaper: Shaper) -> None:
         self._shaper = shaper
-        self._past = Past()
+        self._past = SignalHistory()
         self._time: Array = np.zeros(0)
         self._rate: Array = np.zeros(0)
 

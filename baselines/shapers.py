@@ -27,12 +27,12 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 
 Shaper = Literal["zv", "zvd"]
-SHAPERS: tuple[str, ...] = get_args(Shaper)
-_BINOMIAL = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0)}
+SHAPER_NAMES: tuple[str, ...] = get_args(Shaper)
+_BINOMIAL_AMPLITUDES = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0)}
 
 
 def impulses(shaper: Shaper, frequency: Array, damping: Array) -> tuple[Array, Array]:
-    """Impulses of a shaper.
+    """Return the impulses of a shaper.
 
     Args:
         shaper: Which.
@@ -46,27 +46,27 @@ def impulses(shaper: Shaper, frequency: Array, damping: Array) -> tuple[Array, A
     Raises:
         InvalidField: A shaper, frequency or damping that makes no sense.
     """
-    if shaper not in SHAPERS:
-        raise InvalidField("shaper", repr(shaper), f"one of {list(SHAPERS)}")
+    if shaper not in SHAPER_NAMES:
+        raise InvalidField("shaper", repr(shaper), f"one of {list(SHAPER_NAMES)}")
     if not (np.isfinite(frequency) & (frequency > 0.0)).all():
         raise InvalidField("frequency", f"{frequency} Hz", "> 0 Hz, finite")
     if not ((damping >= 0.0) & (damping < 1.0)).all():
         raise InvalidField("damping", f"{damping}", "0 <= damping < 1")
     root = np.sqrt(1.0 - damping**2)
     decay = np.exp(-np.pi * damping / root)  # of the amplitude in half a damped period
-    order = np.arange(len(_BINOMIAL[shaper]))
+    order = np.arange(len(_BINOMIAL_AMPLITUDES[shaper]))
     times = order * (0.5 / (frequency * root))[:, None]
-    amplitudes = np.array(_BINOMIAL[shaper]) * decay[:, None] ** order
+    amplitudes = np.array(_BINOMIAL_AMPLITUDES[shaper]) * decay[:, None] ** order
     return times, amplitudes / amplitudes.sum(axis=1, keepdims=True)
 
 
 def mean_delay(shaper: tuple[Array, Array]) -> Array:
-    """By how much a shaper delays a slow command: sum of amplitude times time [s], shape (B,)."""
+    """Return the delay of a slow command: sum of amplitude times time [s], shape (B,)."""
     return np.asarray((shaper[0] * shaper[1]).sum(axis=1))
 
 
 def residual(shaper: tuple[Array, Array], frequency: Array, damping: Array) -> Array:
-    """Share V of the vibration that a shaper leaves of a mode.
+    """Return the share V of the vibration that a shaper leaves of a mode.
 
     Args:
         shaper: Times [s] and amplitudes, each of shape (B, m).

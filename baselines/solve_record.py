@@ -1,4 +1,4 @@
-"""What the quasi-static estimators remember: how their solves went."""
+"""Memory of the quasi-static estimators: how their solves went."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SolveRecord:
 
 
 def empty_record(size: int) -> SolveRecord:
-    """The record before the first solve of a batch."""
+    """Return the record before the first solve of a batch."""
     return SolveRecord(
         converged=np.zeros(size, dtype=np.bool_),
         residual=np.zeros(size),

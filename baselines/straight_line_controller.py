@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.reference_ahead import AheadController
+from baselines.lookahead import LookaheadController
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.cable import straight_line
 
 
-class StraightLineController(AheadController):
+class StraightLineController(LookaheadController):
     """Sends the straight-line lengths of the reference, orientation held at home."""
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of straight cables at the pose ahead, and their rates."""
+        """Return the lengths of straight cables at the pose ahead, and their rates."""
         position, velocity = self._ahead.aim(belief, reference)
         length = straight_line.inverse_kinematics(self._robot, position)
         cables = straight_line.straight_length(self._robot, position)

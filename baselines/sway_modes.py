@@ -32,7 +32,7 @@ class SwayModes:
 
 
 def sway_modes(robot: Robot, rest: Equilibrium, count: int) -> SwayModes:
-    """The slowest modes of a robot at rest; the change of tilt from pose to pose is left out.
+    """Find the slowest modes of a robot at rest, without the change of tilt between poses.
 
     Args:
         robot: Robot description.

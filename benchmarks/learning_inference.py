@@ -15,7 +15,7 @@ from benchmarks.results import table
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.robot.robot import Robot
-from learned.policy_controller import DEFAULTS, find_policy, list_policies
+from learned.policy_controller import DEFAULT_POLICIES, find_policy, list_policies
 from learned.policy_file import Policy
 
 TITLE = "Inference"
@@ -35,7 +35,7 @@ def inference() -> str:
         policy = Policy.load(find_policy(name))
         robot = policy.description.robot
         rows.append(_row(robot, f"`{name}`", _controller(robot, td3(), policy=name), policy))
-    for name in DEFAULTS:
+    for name in DEFAULT_POLICIES:
         robot = ct.load_robot(name)
         rows.append(_row(robot, BASELINE, _controller(robot, BASELINE), None))
     header = (

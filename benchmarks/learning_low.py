@@ -18,7 +18,7 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
-from learned.policy_controller import DEFAULTS, find_policy
+from learned.policy_controller import DEFAULT_POLICIES, find_policy
 from learned.policy_file import Policy
 
 TITLE = "Learned control, low in the box"
@@ -88,7 +88,8 @@ def sway(place: Place) -> tuple[float, float] | str:
 
 def low(policies: Sequence[Path], processes: int) -> str:
     """Run all and make the section; without policies those that are bundled for real time."""
-    files = [str(p) for p in policies] or [str(find_policy(name)) for name in DEFAULTS.values()]
+    names = DEFAULT_POLICIES.values()
+    files = [str(p) for p in policies] or [str(find_policy(name)) for name in names]
     groups = [(policy, estimator) for policy in files for estimator in ESTIMATORS]
     places = [Place(policy=p, estimator=e, number=k) for p, e in groups for k in range(PLACES)]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:

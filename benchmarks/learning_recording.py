@@ -25,7 +25,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import find_phases
 from learned.environment import empty_look, make_actions
-from learned.observation import Scales, observe
+from learned.observation import ObservationScales, observe
 from learned.pictures.accuracy import errors_over_time, rmse_gaussians
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
@@ -115,7 +115,7 @@ def policy_lengths(policy: Policy, target: Array) -> Array:
     if about.period is not None:
         raise CarosacError("the recording has targets without a controller: a policy of set-points")
     robot, settings = about.robot, environment_settings(about.settings)
-    scales = Scales.of(robot)
+    scales = ObservationScales.of(robot)
     actions = make_actions(robot, settings, scales)
     look = empty_look(robot, len(settings.preview), actions.size)
     look = replace(look, length=straight_line.inverse_kinematics(robot, target[:1]))

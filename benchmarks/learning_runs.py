@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results import table
-from learned.curve import CURVE, read_curve
 from learned.evaluation import (
     evaluate,
     evaluate_inverse_kinematics,
     rmse_ratio,
     slack_at_rest,
 )
+from learned.learning_curve import CURVE_FILE, read_curve
 from learned.pictures.training import curve_of, learning_curves
 from learned.policy_file import Policy
-from learned.scores import Scores
-from learned.training import POLICY
-from learned.training_record import SETTINGS
+from learned.scores import PolicyScores
+from learned.training import POLICY_FILE
+from learned.training_record import SETTINGS_FILE
 
 FOLDER = Path(__file__).parent
 MM = 1e3
@@ -65,7 +65,7 @@ class Training:
     @property
     def finished(self) -> bool:
         """Whether there is a policy."""
-        return (self.folder / POLICY).is_file()
+        return (self.folder / POLICY_FILE).is_file()
 
     @property
     def minutes(self) -> float:
@@ -76,10 +76,10 @@ class Training:
 def find_trainings(runs: Sequence[Path]) -> list[Training]:
     """All stages in folders of trainings, by robot, preset, stage and seed."""
     found = []
-    for path in (path for folder in runs for path in sorted(folder.glob(f"*/*/{CURVE}"))):
+    for path in (path for folder in runs for path in sorted(folder.glob(f"*/*/{CURVE_FILE}"))):
         rows = read_curve(path)
         if rows:
-            settings = json.loads((path.parent / SETTINGS).read_text(encoding="utf-8"))
+            settings = json.loads((path.parent / SETTINGS_FILE).read_text(encoding="utf-8"))
             found.append(Training(name=path.parent.parent.name, folder=path.parent,
                                   settings=settings, rows=rows))  # fmt: skip
     return sorted(found, key=lambda t: (*t.key, t.settings["seed"], t.name))
@@ -162,14 +162,14 @@ def verdict(*good: bool) -> str:
     return "passed" if all(good) else "**missed**"
 
 
-def distinct(scores: Scores) -> int:
+def distinct(scores: PolicyScores) -> int:
     """How many of the paths differ."""
     return len(np.unique(scores.target[:, :2].reshape(len(scores.target), -1), axis=0))
 
 
-def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], Scores]:
+def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], PolicyScores]:
     """The numbers of one policy, and what is behind them."""
-    policy = Policy.load(training.folder / POLICY)
+    policy = Policy.load(training.folder / POLICY_FILE)
     scores = evaluate(policy, protocol, paths=PATHS[protocol], seed=SEED)
     print(training.name, protocol, flush=True)
     return scores.data(policy.description.robot), scores
@@ -245,11 +245,11 @@ def settled(mine: Sequence[Training], trainings: Sequence[Training]) -> str:
 def real_time(mine: Sequence[Training], _: Sequence[Training]) -> str:
     """Paths in time on robots that sway, beside inverse kinematics with and without feedforward."""
     rows = []
-    known: dict[str, tuple[Scores, Scores]] = {}
+    known: dict[str, tuple[PolicyScores, PolicyScores]] = {}
     resting: dict[str, float] = {}
     for training in mine:
         data, scores = scored(training, "realtime")
-        policy = Policy.load(training.folder / POLICY)
+        policy = Policy.load(training.folder / POLICY_FILE)
         key = json.dumps([training.key, training.settings["environment"]], sort_keys=True)
         if key not in known:  # it does not depend on the seed of the training
             plain, fed = (

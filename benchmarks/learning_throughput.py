@@ -18,8 +18,8 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import Path
 from learned.presets import Stage, find_preset
+from learned.target_paths import TargetPath
 
 TITLE = "Throughput of learned control"
 GPU_TITLE = "Environments on a GPU"
@@ -48,7 +48,7 @@ class Walker:
         robot = ct.load_robot(ROBOT)
         small = replace(settings, path=replace(settings.path, pool=PATHS))
         self.environment = CableEnvironment(robot, small, size=size, seed=0, device=device)
-        drawn: dict[int, Path] = {}
+        drawn: dict[int, TargetPath] = {}
         while len(drawn) < PATHS:
             self.environment.reset()
             drawn |= {id(path): path for path in self.environment.paths}
@@ -69,7 +69,7 @@ class Walker:
         self.failures += int(found.failed.sum())
         self.walked += len(action)
 
-    def _lengths(self, path: Path) -> Array:
+    def _lengths(self, path: TargetPath) -> Array:
         """The action of each step: lengths of inverse kinematics, or no push."""
         environment, targets = self.environment, path.position[1:]
         if environment.settings.action == "push":

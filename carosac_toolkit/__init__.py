@@ -6,9 +6,9 @@ The names below are the public contract; each is imported when it is first used,
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from carosac_toolkit.base.lazy import lazy_names
 from carosac_toolkit.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -26,39 +26,6 @@ if TYPE_CHECKING:
     from carosac_toolkit.studies.compare.results import StudyResults
     from carosac_toolkit.studies.compare.study import Study
     from carosac_toolkit.validation import validate
-
-_MODULE_OF_NAME = {
-    "Belief": "loop.values",
-    "CarosacError": "base.errors",
-    "Command": "loop.values",
-    "InvalidField": "base.errors",
-    "InvalidFile": "base.errors",
-    "Measurement": "loop.values",
-    "Pose": "loop.values",
-    "PoseSamples": "recordings.poses",
-    "Recording": "recording",
-    "RecordingMetadata": "recordings.metadata",
-    "Reference": "values",
-    "Robot": "robot",
-    "State": "values",
-    "Study": "studies.study",
-    "StudyResults": "studies.results",
-    "list_robots": "robot_file",
-    "load_recording": "recording",
-    "load_robot": "robot_file",
-    "structure_matrix": "physics.structure",
-    "validate": "validation",
-}
-_MODULE_OF_NAMESPACE = {
-    "catenary": "physics.catenary",
-    "loop": "loop",
-    "modes": "physics.modes",
-    "statics": "physics.statics",
-    "straight_line": "physics.straight_line",
-    "tension_distribution": "physics.tension_distribution",
-    "trajectories": "trajectories",
-    "workspace": "workspace",
-}
 
 __all__ = [
     "Belief",
@@ -91,15 +58,36 @@ __all__ = [
     "workspace",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use."""
-    if name in _MODULE_OF_NAMESPACE:
-        return import_module(f"{__name__}.{_MODULE_OF_NAMESPACE[name]}")
-    if name in _MODULE_OF_NAME:
-        return getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+_MODULES = {
+    "Belief": "loop.values",
+    "CarosacError": "base.errors",
+    "Command": "loop.values",
+    "InvalidField": "base.errors",
+    "InvalidFile": "base.errors",
+    "Measurement": "loop.values",
+    "Pose": "loop.values",
+    "PoseSamples": "recordings.poses",
+    "Recording": "recordings.recording",
+    "RecordingMetadata": "recordings.metadata",
+    "Reference": "loop.values",
+    "Robot": "robot.robot",
+    "State": "loop.values",
+    "Study": "studies.compare.study",
+    "StudyResults": "studies.compare.results",
+    "list_robots": "robot.file",
+    "load_recording": "recordings.recording",
+    "load_robot": "robot.file",
+    "structure_matrix": "physics.rest.structure",
+    "validate": "validation",
+}
+_NAMESPACES = {
+    "catenary": "physics.cable.catenary",
+    "loop": "loop",
+    "modes": "physics.rest.modes",
+    "statics": "physics.rest.statics",
+    "straight_line": "physics.cable.straight_line",
+    "tension_distribution": "physics.rest.tension_distribution",
+    "trajectories": "trajectories",
+    "workspace": "workspace",
+}
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, _NAMESPACES)

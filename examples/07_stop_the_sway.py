@@ -15,11 +15,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from baselines.dynamic_estimator import DynamicEstimator
-from baselines.input_shaping import InputShaping
-from baselines.kinematic_solver import KinematicSolver
-from baselines.kinematic_solver_controller import KinematicSolverController
-from baselines.mpc import Mpc
+from baselines import (
+    DynamicEstimator,
+    InputShaping,
+    KinematicSolver,
+    KinematicSolverController,
+    Mpc,
+)
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME, draw_plant

@@ -17,12 +17,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from baselines.dynamic_estimator import DynamicEstimator
-from baselines.kinematic_solver_controller import KinematicSolverController
+from baselines import DynamicEstimator, KinematicSolverController
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME, draw_plant
-from learned.policy_controller import PolicyController, PolicySettings
+from learned import PolicyController, PolicySettings
 from sim_warp import SimDriver, SimDriverSettings
 
 SEED = 3

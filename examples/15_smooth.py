@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from baselines.smoother import SmootherSettings, smooth
+from baselines import SmootherSettings, smooth
 from carosac_toolkit.recordings.bundled import find_recording
 
 SAMPLES = 240  # 12 s

@@ -1,4 +1,4 @@
-"""What the numbers of an action mean: lengths, or a push that the cables give the platform."""
+"""Meaning of the numbers of an action: lengths, or a push that the cables give the platform."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 from learned.length_map import LengthMap
-from learned.observation import Look, Scales
+from learned.observation import ObservationInputs, ObservationScales
 
 
 class ActionMap(Protocol):
@@ -17,36 +17,36 @@ class ActionMap(Protocol):
 
     size: int
 
-    def applied(self, action: Array, look: Look) -> Array:
-        """What an action comes to after what was applied last, in [-1, 1], shape (B, a)."""
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
+        """Return the action applied after the one applied last, in [-1, 1], shape (B, a)."""
         ...
 
-    def lengths(self, applied: Array, look: Look) -> Array:
-        """Lengths to ask the winches for [m], shape (B, n)."""
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
+        """Return the lengths to ask the winches for [m], shape (B, n)."""
         ...
 
     def effort(self, applied: Array) -> Array:
-        """How much of its range is used, shape (B,)."""
+        """Return the used share of its range, shape (B,)."""
         ...
 
 
 class Absolute:
     """Each number is a length: -1 the shortest in the workspace box, 1 the longest."""
 
-    def __init__(self, scales: Scales) -> None:
+    def __init__(self, scales: ObservationScales) -> None:
         self._scales = scales
         self.size = len(scales.length_low)
 
-    def applied(self, action: Array, look: Look) -> Array:
-        """The action itself."""
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
+        """Return the action itself."""
         return action
 
-    def lengths(self, applied: Array, look: Look) -> Array:
-        """The lengths, whatever there is to see."""
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
+        """Return the lengths of an action, whatever is observed."""
         return self._scales.to_length(applied)
 
     def effort(self, applied: Array) -> Array:
-        """None: lengths cost nothing."""
+        """Return zero: lengths cost nothing."""
         return np.zeros(len(applied))
 
 
@@ -105,12 +105,12 @@ class Push:
         self._share = share
         self._correction = correction
 
-    def applied(self, action: Array, look: Look) -> Array:
-        """Some of the way from what was applied last to the action."""
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
+        """Go a share of the way from what was applied last to the action."""
         return look.last_action + self._share * (action - look.last_action)
 
-    def lengths(self, applied: Array, look: Look) -> Array:
-        """Lengths of rest at the displaced target."""
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
+        """Return the lengths of rest at the displaced target."""
         push = self._reach * applied
         if self._feedforward:
             push = push + look.aimed_acceleration
@@ -118,6 +118,5 @@ class Push:
         return self._map.lengths(look.target, push=push, offset=offset)
 
     def effort(self, applied: Array) -> Array:
-        """Norm of the push over the reach."""
-        found: Array = np.linalg.norm(applied, axis=1)
-        return found
+        """Return the norm of the push over the reach."""
+        return np.asarray(np.linalg.norm(applied, axis=1))

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-USUAL = (signal.default_int_handler, signal.SIG_DFL)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+DEFAULT_HANDLERS = (signal.default_int_handler, signal.SIG_DFL)
 
 
 @contextmanager
@@ -40,8 +40,8 @@ def delayed_signals(notice: str = "") -> Iterator[Callable[[], bool]]:
             os.write(2, f"\n{notice}\n".encode())
 
     if threading.current_thread() is threading.main_thread():
-        for number in SIGNALS:
-            if signal.getsignal(number) in USUAL:
+        for number in STOP_SIGNALS:
+            if signal.getsignal(number) in DEFAULT_HANDLERS:
                 before[number] = signal.signal(number, note)
     try:
         yield lambda: bool(came)

@@ -16,25 +16,32 @@ from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
-from learned.episodes import Path, PathPool, PathSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds
-from learned.observation import Look, Scales, Units, check_parts, fading, observe
+from learned.observation import (
+    ObservationInputs,
+    ObservationScales,
+    ObservationUnits,
+    check_parts,
+    fading,
+    observe,
+)
 from learned.rewards import Reward, RewardSettings
+from learned.target_paths import PathPool, PathSettings, TargetPath
 from learned.transition import Transition
-from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
+from learned.worlds import NoSagWorlds, SettledWorlds, TrainingWorlds, WorldStates
 
 WorldName = Literal["no_sag", "settle", "realtime"]
-FAILURE = -1.0  # reward of a step without a solution; what came later is still valued
+FAILURE_REWARD = -1.0  # reward of a step without a solution; what came later is still valued
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentSettings:
-    """What is learned in.
+    """Settings of the environment in which a policy is trained.
 
     Attributes:
         world: ``no_sag``: straight cables; ``settle``: sagging ones, each set-point settles;
             ``realtime``: sagging ones on a platform that sways, with winches.
-        observation: Parts, of `learned.observation.PARTS`.
+        observation: Parts, of `learned.observation.OBSERVATION_PARTS`.
         preview: How many steps ahead the later targets of the observation are.
         action: ``absolute``: lengths; ``push``: an acceleration that the cables give the platform
             beyond those of catenary inverse kinematics; see `learned.actions.Push`.
@@ -62,7 +69,7 @@ class EnvironmentSettings:
     reward: RewardSettings = field(default_factory=RewardSettings)
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
-    units: Units = field(default_factory=Units)
+    units: ObservationUnits = field(default_factory=ObservationUnits)
     memory: float = 1.0
     correction: float = 0.0
     correction_memory: float = 4.0
@@ -77,7 +84,7 @@ class EnvironmentSettings:
             raise InvalidField("action", repr(self.action), "'absolute' or 'push'")
         self._check_motion()
         if self.world == "realtime" and "fit" in self.reward.terms:
-            allowed = "terms without 'fit', whose inconsistency nobody knows in real time"
+            allowed = "terms without 'fit', whose inconsistency is unknown in real time"
             raise InvalidField("reward.terms", self.reward.terms, allowed)
         if self.reward.slack > 0.0 and self.world != "settle":
             allowed = "0, but in world 'settle', whose lengths decide what cables pull with"
@@ -118,7 +125,7 @@ class EnvironmentSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepResult:
-    """What a step of B environments gave.
+    """Result of a step of B environments.
 
     Attributes:
         observation: Of the next step, after a reset where the episode ended, shape (B, d).
@@ -136,7 +143,7 @@ class StepResult:
     failed: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     transition: Transition
-    reached: Reached
+    reached: WorldStates
 
 
 class CableEnvironment:
@@ -163,7 +170,7 @@ class CableEnvironment:
         self.settings = settings
         self.size = size
         self._device = device
-        self.scales = Scales.of(robot, settings.units)
+        self.scales = ObservationScales.of(robot, settings.units)
         self.worlds = _worlds(robot, settings, size, seed, device)
         self.actions = make_actions(robot, settings, self.scales, device)
         span = float(np.linalg.norm(robot.workspace_max - robot.workspace_min))
@@ -171,14 +178,14 @@ class CableEnvironment:
         feasible = None if settings.world == "no_sag" else self._feasible
         self._pool = PathPool(robot, settings.path, seed, feasible)
         self._rng = np.random.default_rng([seed, 3])
-        self._paths: list[Path] = []
-        self._targets = np.zeros((size, 1, 3, 3))  # of the paths, see `Path.targets`
+        self._paths: list[TargetPath] = []
+        self._targets = np.zeros((size, 1, 3, 3))  # of the paths, see `TargetPath.targets`
         self._step = np.zeros(size, dtype=np.int64)
         self._last_action = np.zeros((size, self.actions.size))
         self._mean_error = np.zeros((size, 3))
         self._lasting_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
-        self._reached: Reached | None = None
+        self._reached: WorldStates | None = None
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
         self.observation_size = observe(settings.observation, shapes, self.scales).shape[1]
 
@@ -188,15 +195,15 @@ class CableEnvironment:
         return self.actions.size
 
     @property
-    def paths(self) -> tuple[Path, ...]:
+    def paths(self) -> tuple[TargetPath, ...]:
         """The targets of the present episodes."""
         return tuple(self._paths)
 
-    def first_paths(self, count: int) -> list[Path]:
-        """The first paths of the pool, all different."""
+    def first_paths(self, count: int) -> list[TargetPath]:
+        """Return the first paths of the pool, all different."""
         return [self._pool.path(k) for k in range(count)]
 
-    def reset(self, paths: list[Path] | None = None) -> Array:
+    def reset(self, paths: list[TargetPath] | None = None) -> Array:
         """Begin an episode in every environment; first observations, shape (B, d).
 
         Args:
@@ -224,7 +231,7 @@ class CableEnvironment:
         asked = self.actions.lengths(applied, look)
         reached = self.worlds.advance(asked)
         transition = self._transition(before, reached, look, asked, applied)
-        reward = np.where(reached.failed, FAILURE, self.reward(transition))
+        reward = np.where(reached.failed, FAILURE_REWARD, self.reward(transition))
         self._step += 1
         self._last_action = np.array(applied)
         self._asked = np.array(asked)
@@ -245,13 +252,12 @@ class CableEnvironment:
         )  # fmt: skip
 
     def _is_lost(self, transition: Transition) -> NDArray[np.bool_]:
-        """Environments whose platform is too far from the target to learn anything from."""
+        """Return where the platform is too far from the target to learn anything from."""
         limit = np.inf if self.settings.lost is None else self.settings.lost
-        found: NDArray[np.bool_] = transition.distance > limit
-        return found
+        return np.asarray(transition.distance > limit)
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes; `restore` goes on from there, bit by bit."""
+        """Return everything that changes; `restore` continues from there, bit for bit."""
         return {
             "worlds": self.worlds.state(), "paths": list(self._paths), "step": self._step.copy(),
             "last_action": self._last_action.copy(), "mean_error": self._mean_error.copy(),
@@ -273,12 +279,12 @@ class CableEnvironment:
         self._reached = state["reached"]
         self._rng.bit_generator.state = state["rng"]
 
-    def _draw(self) -> Path:
-        """A path of an episode."""
+    def _draw(self) -> TargetPath:
+        """Draw the path of an episode."""
         return self._pool.path(int(self._rng.integers(self.settings.path.pool)))
 
     def _feasible(self, position: Array) -> NDArray[np.bool_]:
-        """Where the nominal robot can rest."""
+        """Return where the nominal robot can rest."""
         rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         return rest.converged & rest.stable
 
@@ -295,7 +301,7 @@ class CableEnvironment:
         return self._observe(rows)
 
     def _observe(self, rows: NDArray[Any]) -> Array:
-        """What is seen before the next step; the errors of some rows go into their means first."""
+        """Observe before the next step; add the errors of some rows to their means first."""
         assert self._reached is not None
         look, period = self._look(self._reached), self.settings.path.period
         if period is not None:
@@ -307,15 +313,15 @@ class CableEnvironment:
                 mean[rows] = fading(mean, error, period, memory)[rows]  # the look shows the arrays
         return observe(self.settings.observation, look, self.scales)
 
-    def _look(self, reached: Reached) -> Look:
-        """What there is to see before the next step."""
+    def _look(self, reached: WorldStates) -> ObservationInputs:
+        """Return what can be observed before the next step."""
         ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
         due, aimed = ahead[0], ahead[0][2]
         if self.settings.path.period is not None:
             due, aimed = self._path_rows(0), self._aimed_acceleration(self.settings.path.period)
         seen = reached if reached.belief is None else reached.belief
         assert seen.twist is not None
-        return Look(
+        return ObservationInputs(
             position=seen.position, rotation=seen.rotation, twist=seen.twist,
             length=self._asked, due=due[0], due_velocity=due[1], target=ahead[0][0],
             target_velocity=ahead[0][1], target_acceleration=ahead[0][2],
@@ -327,29 +333,34 @@ class CableEnvironment:
         )  # fmt: skip
 
     def _aimed_acceleration(self, period: float) -> Array:
-        """Of the targets, when lengths that are asked for now have arrived, shape (B, 3)."""
+        """Return the target's acceleration when lengths asked for now have arrived, (B, 3)."""
         steps = 1.0 + lead_of(self.robot, self.settings) / period
         whole, share = int(steps), steps % 1.0
-        found: Array = (1.0 - share) * self._path_rows(whole)[2]
-        return found + share * self._path_rows(whole + 1)[2] if share > 0.0 else found
+        aimed: Array = (1.0 - share) * self._path_rows(whole)[2]
+        return aimed + share * self._path_rows(whole + 1)[2] if share > 0.0 else aimed
 
     def _path_rows(self, ahead: int) -> Array:
-        """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
+        """Return position, velocity and acceleration of targets some steps ahead, (3, B, 3)."""
         last = self._targets.shape[1] - 1
-        found = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
-        return found.transpose(1, 0, 2)
+        rows = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
+        return rows.transpose(1, 0, 2)
 
     def _take_targets(self, rows: NDArray[Any]) -> None:
         """Keep the targets of the paths of some environments where all are looked up at once."""
         for row in rows:
-            found = self._paths[row].targets()
-            if (more := len(found) - self._targets.shape[1]) > 0:
+            targets = self._paths[row].targets()
+            if (more := len(targets) - self._targets.shape[1]) > 0:
                 self._targets = np.pad(self._targets, ((0, 0), (0, more), (0, 0), (0, 0)), "edge")
-            self._targets[row, : len(found)] = found
-            self._targets[row, len(found) :] = found[-1]
+            self._targets[row, : len(targets)] = targets
+            self._targets[row, len(targets) :] = targets[-1]
 
     def _transition(
-        self, before: Reached, reached: Reached, look: Look, asked: Array, applied: Array
+        self,
+        before: WorldStates,
+        reached: WorldStates,
+        look: ObservationInputs,
+        asked: Array,
+        applied: Array,
     ) -> Transition:
         moving = self.settings.world == "realtime"
         return Transition(
@@ -363,10 +374,10 @@ class CableEnvironment:
         )  # fmt: skip
 
 
-def empty_look(robot: Robot, previews: int, actions: int) -> Look:
-    """A robot at rest at home that shall stay there."""
+def empty_look(robot: Robot, previews: int, actions: int) -> ObservationInputs:
+    """Return what a robot observes at rest at home, where it is to stay."""
     home, nothing = robot.home_position[None], np.zeros((1, 3))
-    return Look(
+    return ObservationInputs(
         position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
         length=straight_line.inverse_kinematics(robot, home), due=home, due_velocity=nothing,
         target=home, target_velocity=nothing, target_acceleration=nothing,
@@ -376,9 +387,9 @@ def empty_look(robot: Robot, previews: int, actions: int) -> Look:
 
 
 def make_actions(
-    robot: Robot, settings: EnvironmentSettings, scales: Scales, device: str = "cpu"
+    robot: Robot, settings: EnvironmentSettings, scales: ObservationScales, device: str = "cpu"
 ) -> ActionMap:
-    """What the numbers of an action mean; lengths of pushes are found on a Warp device."""
+    """Make the map from actions to lengths; that of pushes is fitted on a Warp device."""
     if settings.action == "absolute":
         return Absolute(scales)
     return Push(
@@ -393,15 +404,15 @@ def make_actions(
 
 
 def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
-    """How far ahead of the target lengths are aimed [s]: by the lag, less half a step."""
+    """Return how far ahead of the target lengths are aimed [s]: the lag, less half a step."""
     period = settings.path.period or 0.0
     return max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
 
 
 def _worlds(
     robot: Robot, settings: EnvironmentSettings, size: int, seed: int, device: str
-) -> Worlds:
-    """The worlds of some settings."""
+) -> TrainingWorlds:
+    """Make the worlds of some settings."""
     if settings.world == "no_sag":
         return NoSagWorlds(robot, size, device)
     if settings.world == "settle":

@@ -10,7 +10,7 @@ from stable_baselines3.common.noise import VectorizedActionNoise
 
 from learned.exploration_settings import ExplorationSettings
 
-REVERSION = 0.15  # share by which the noise returns to zero in a step
+NOISE_REVERSION = 0.15  # share by which the noise returns to zero in a step
 
 
 class DecayingNoise(VectorizedActionNoise):
@@ -36,11 +36,11 @@ class DecayingNoise(VectorizedActionNoise):
         self._rng = np.random.default_rng([seed, 5])
 
     def __call__(self) -> Any:
-        """The next values, shape (B, a)."""
+        """Return the next values, shape (B, a)."""
         done = min(max(self.progress, 0.0), 1.0)
         sigma = self.settings.start + done * (self.settings.end - self.settings.start)
-        drawn = sigma * np.sqrt(REVERSION * (2.0 - REVERSION))
-        self._value = (1.0 - REVERSION) * self._value
+        drawn = sigma * np.sqrt(NOISE_REVERSION * (2.0 - NOISE_REVERSION))
+        self._value = (1.0 - NOISE_REVERSION) * self._value
         self._value += drawn * self._rng.standard_normal(self._value.shape)
         return self._value.astype(np.float32)
 
@@ -50,7 +50,7 @@ class DecayingNoise(VectorizedActionNoise):
         self._value[rows] = 0.0
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes."""
+        """Return everything that changes."""
         return {
             "value": self._value.copy(),
             "progress": self.progress,
@@ -64,5 +64,5 @@ class DecayingNoise(VectorizedActionNoise):
         self._rng.bit_generator.state = state["rng"]
 
     def __repr__(self) -> str:
-        """The settings."""
+        """Return the settings."""
         return f"DecayingNoise({self.settings})"

@@ -1,4 +1,4 @@
-"""How widely actions are tried out."""
+"""Settings of the exploration noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 @dataclass(frozen=True, kw_only=True)
 class ExplorationSettings:
-    """How widely actions are tried out.
+    """Settings of the exploration noise.
 
     Attributes:
         start: Standard deviation at the start, of actions in [-1, 1].

@@ -61,8 +61,8 @@ class CableGymEnvironment(gymnasium.Env[Any, Any]):
 
         A step without a solution terminates the episode, with a reward of its own.
         """
-        found = self._environment.step(np.asarray(action, dtype=np.float64)[None])
-        transition, failed = found.transition, bool(found.failed[0])
+        result = self._environment.step(np.asarray(action, dtype=np.float64)[None])
+        transition, failed = result.transition, bool(result.failed[0])
         terms = self._environment.reward.terms(transition)
         info = {
             "position": transition.position[0],
@@ -73,8 +73,8 @@ class CableGymEnvironment(gymnasium.Env[Any, Any]):
             "reward_terms": {name: float(value[0]) for name, value in terms.items()},
         }
         return (
-            found.final_observation[0].astype(np.float32), float(found.reward[0]),
-            failed, bool(found.truncated[0]) and not failed, info,
+            result.final_observation[0].astype(np.float32), float(result.reward[0]),
+            failed, bool(result.truncated[0]) and not failed, info,
         )  # fmt: skip
 
 

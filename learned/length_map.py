@@ -30,10 +30,10 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned import length_map_kernels
 
-DEGREE = 6
-NODES = 10  # along each axis
-GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
-REST = np.zeros(3)
+POLYNOMIAL_DEGREE = 6
+CHEBYSHEV_NODES = 10  # along each axis
+GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
+ZERO_VECTOR = np.zeros(3)
 
 
 class LengthMap:
@@ -58,7 +58,7 @@ class LengthMap:
         self._device = device
         center = (robot.workspace_max + robot.workspace_min) / 2
         half = (robot.workspace_max - robot.workspace_min) / 2
-        axis = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        axis = np.cos(np.pi * (np.arange(CHEBYSHEV_NODES) + 0.5) / CHEBYSHEV_NODES)
         unit = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
         points = center + half * unit
         rest = statics.inverse_kinematics(robot, points)
@@ -70,24 +70,25 @@ class LengthMap:
             raise CarosacError(f"{robot.name}: it can rest at {share} of its workspace box only")
         extra = rest.unstrained_length - straight_line.straight_length(robot, points).length
         soft = softness(robot, rest)[sound].reshape(-1, 9)
-        found = np.linalg.lstsq(basis, np.hstack([soft, extra[sound]]), rcond=None)[0]
-        both = np.asarray(found, dtype=np.float64)
+        coefficients = np.linalg.lstsq(basis, np.hstack([soft, extra[sound]]), rcond=None)[0]
+        both = np.asarray(coefficients, dtype=np.float64)
         self._softness, self._extra = both[:, :9].reshape(-1, 3, 3), both[:, 9:]
         self.largest_error = float(np.abs(basis @ self._extra - extra[sound]).max())
         self._arguments = (
-            "target", "offset", "push", DEGREE, wp.vec3d(center), wp.vec3d(half),
-            "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY, "place", "length",
+            "target", "offset", "push", POLYNOMIAL_DEGREE, wp.vec3d(center), wp.vec3d(half),
+            "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY_FIELDS, "place",
+            "length",
         )  # fmt: skip
         self._kept: tuple[int, Buffers] | None = None  # of the last batch, with its size
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the buffers, which are made when they are needed."""
+        """Return all but the buffers, which are made when they are needed."""
         return self.__dict__ | {"_kept": None}
 
     def lengths(
         self, position: Array, *, push: Array | None = None, offset: Array | None = None
     ) -> Array:
-        """Lengths of rest, shape (B, n).
+        """Return the lengths of rest, shape (B, n).
 
         Beyond the box, sag, tilt and softness are those of its border.
 
@@ -99,7 +100,7 @@ class LengthMap:
         return self._moved("length", position, push, offset)
 
     def displacement(self, position: Array, push: Array) -> Array:
-        """By how much the rest is moved for a push: S a [m], shape (B, 3).
+        """Return the motion of the rest for a push: S a [m], shape (B, 3).
 
         Args:
             position: In W [m], shape (B, 3).
@@ -110,7 +111,7 @@ class LengthMap:
     def _moved(
         self, wanted: str, position: Array, push: Array | None, offset: Array | None
     ) -> Array:
-        """What is wanted: the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
+        """Return the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
         size = len(position)
         if np.shape(position) != (size, 3) or size == 0:
             batch("position", position, (3,))  # says what is wrong
@@ -120,15 +121,15 @@ class LengthMap:
         buffers = kept[1]
         with buffers.lock:
             buffers.put("target", position)
-            buffers.put("push", REST if push is None else push)
-            buffers.put("offset", REST if offset is None else offset)
+            buffers.put("push", ZERO_VECTOR if push is None else push)
+            buffers.put("offset", ZERO_VECTOR if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
-            found: Array = buffers.get(wanted)
-            return found
+            values: Array = buffers.get(wanted)
+            return values
 
     def _allocate(self, size: int) -> Buffers:
-        """Buffers of the kernel, with the coefficients and the robot in them."""
+        """Allocate the buffers of the kernel, with coefficients and robot in them."""
         warp_setup.load(length_map_kernels, self._device)
         terms, n = self._extra.shape
         buffers = Buffers(self._device, {
@@ -137,7 +138,7 @@ class LengthMap:
             "pulley_radius": (n, wp.float64), "length": ((size, n), wp.float64),
             "softness": (terms, wp.mat33d), "extra": ((terms, n), wp.float64),
         })  # fmt: skip
-        for name in GEOMETRY:
+        for name in GEOMETRY_FIELDS:
             buffers.put(name, getattr(self._robot, name))
         buffers.put("softness", self._softness)
         buffers.put("extra", self._extra)
@@ -145,20 +146,19 @@ class LengthMap:
 
 
 def products(unit: Array) -> Array:
-    """Chebyshev products up to the total degree, in the order of the kernel, shape (B, K).
+    """Return Chebyshev products up to the total degree, in the kernel's order, shape (B, K).
 
     Args:
         unit: Positions as shares of the box from its middle, shape (B, 3).
     """
-    values = np.cos(np.arange(DEGREE + 1.0)[:, None, None] * np.arccos(unit))
-    powers = np.stack(np.meshgrid(*[np.arange(DEGREE + 1)] * 3, indexing="ij"), -1)
-    x, y, z = powers[powers.sum(axis=-1) <= DEGREE].T
-    found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
-    return found
+    values = np.cos(np.arange(POLYNOMIAL_DEGREE + 1.0)[:, None, None] * np.arccos(unit))
+    powers = np.stack(np.meshgrid(*[np.arange(POLYNOMIAL_DEGREE + 1)] * 3, indexing="ij"), -1)
+    x, y, z = powers[powers.sum(axis=-1) <= POLYNOMIAL_DEGREE].T
+    return np.asarray((values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T)
 
 
 def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
-    """How far the rest moves against inertia, lengths held [s^2], shape (B, 3, 3).
+    """Return the motion of the rest per acceleration, lengths held [s^2], shape (B, 3, 3).
 
     While the platform accelerates with a, in W, its inertia pulls at its centre of mass with -m a;
     the rest then lies S a behind. The platform turns as it likes.
@@ -171,5 +171,5 @@ def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
     moment = np.cross(center[:, None, :], np.eye(3)).transpose(0, 2, 1)  # columns c x e_k
     force = np.broadcast_to(np.eye(3), moment.shape)
     wrench = robot.mass * np.concatenate([force, moment], axis=1)
-    found = np.linalg.solve(rest.stiffness, wrench)[:, :3]
-    return np.asarray(found, dtype=np.float64)
+    motion = np.linalg.solve(rest.stiffness, wrench)[:, :3]
+    return np.asarray(motion, dtype=np.float64)

@@ -13,7 +13,7 @@ mat33 = wp.mat33d
 
 @wp.func
 def in_box(point: vec3, center: vec3, half: vec3):
-    """A point of W as shares of the box from its middle, at most 1; beyond the box its border."""
+    """Return a point of W as shares of the box from its middle, clipped to its border."""
     share = wp.cw_div(point - center, half)
     one = vec3(f64(1.0), f64(1.0), f64(1.0))
     return wp.min(wp.max(share, -one), one)
@@ -21,7 +21,7 @@ def in_box(point: vec3, center: vec3, half: vec3):
 
 @wp.func
 def chebyshev(order: int, x: f64):
-    """T_order(x) of the Chebyshev polynomials."""
+    """Return T_order(x) of the Chebyshev polynomials."""
     before = f64(1.0)
     value = x
     for _ in range(order - 1):
@@ -49,7 +49,7 @@ def lengths_of_rest(
     place: wp.array(dtype=vec3),
     length: wp.array2d(dtype=f64),
 ):
-    """Where a push and an offset move targets to, and lengths of rest there; one thread each.
+    """Move targets by push and offset, and find lengths of rest there; one thread each.
 
     Args:
         target: In W [m], shape (B,).

@@ -23,8 +23,10 @@ from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.td3.policies import TD3Policy
 
-FEATURES = 16  # of the embeddings
-TINY = 1e-8  # [m^2] under the root, where its slope would be infinite: a floor of 0.1 mm
+EMBEDDING_SIZE = 16  # of the embeddings
+DISTANCE_FLOOR_M2 = (
+    1e-8  # [m^2] under the root, where its slope would be infinite: a floor of 0.1 mm
+)
 
 
 class MetricCritic(ContinuousCritic):
@@ -69,21 +71,21 @@ class MetricCritic(ContinuousCritic):
         self.wanted = torch.nn.ModuleList()
         for _ in range(n_critics):
             for networks, size in ((self.reached, acted), (self.wanted, wanted)):
-                layers = create_mlp(size, FEATURES, net_arch, activation_fn)
+                layers = create_mlp(size, EMBEDDING_SIZE, net_arch, activation_fn)
                 networks.append(torch.nn.Sequential(*layers))
 
     def forward(self, obs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Values of all critics, each of shape (B, 1)."""
+        """Return the values of all critics, each of shape (B, 1)."""
         return tuple(self._value(k, obs, actions) for k in range(self.n_critics))
 
     def q1_forward(self, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """Values of the first critic, shape (B, 1)."""
+        """Return the values of the first critic, shape (B, 1)."""
         return self._value(0, obs, actions)
 
     def _value(self, k: int, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         reached = self.reached[k](torch.cat([obs[:, self._state], actions], dim=1))
         apart = reached - self.wanted[k](obs[:, self._target])
-        distance = torch.sqrt((apart**2).sum(dim=1, keepdim=True) + TINY)
+        distance = torch.sqrt((apart**2).sum(dim=1, keepdim=True) + DISTANCE_FLOOR_M2)
         return -torch.log1p(distance / self._scale) * self._factor
 
 
@@ -91,11 +93,11 @@ class MetricPolicy(TD3Policy):
     """TD3's policy with `MetricCritic`."""
 
     def __init__(self, *args: Any, metric: dict[str, Any], **kwargs: Any) -> None:
-        """As TD3's, with the arguments of the critic's metric."""
+        """Make TD3's policy, with the arguments of the critic's metric."""
         self._metric = metric
         super().__init__(*args, **kwargs)
 
     def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """A metric critic."""
+        """Make a metric critic."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return MetricCritic(**arguments, **self._metric).to(self.device)

@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.drivers.sensors import check_suite
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.robot.robot import Robot
 from learned.sensing import Sensing
-from learned.worlds import Reached
+from learned.worlds import WorldStates
 from sim_warp import Simulator
 
-ATTEMPTS = 10  # to find a start near a position at which a plant can rest
-OF_ESTIMATOR = ("estimated", "suite")  # settings that mean nothing without one
-RETREAT = 0.1  # share of the way home that each attempt goes
+START_ATTEMPTS_MAX = 10  # to find a start near a position at which a plant can rest
+ESTIMATOR_FIELDS = ("estimated", "suite")  # settings that mean nothing without one
+RETREAT_RATIO = 0.1  # share of the way home that each attempt goes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,22 +55,20 @@ class MovingSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for name in ("position_bias", "length_bias", "start_speed"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidField(name, getattr(self, name), ">= 0, finite")
+        check_fields(self, not_negative=("position_bias", "length_bias", "start_speed"))
         find_condition(self.perturbation)
         if not 0.0 < self.estimated <= 1.0:
             raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")
         check_suite(self.suite, inertial=True)
-        for name in OF_ESTIMATOR:
+        for name in ESTIMATOR_FIELDS:
             usual = getattr(MovingSettings, name)
             if self.estimator is None and getattr(self, name) != usual:
                 allowed = f"{usual!r}, or an estimator"
                 raise InvalidField(name, repr(getattr(self, name)), allowed)
 
     def without_estimator(self) -> MovingSettings:
-        """The same with beliefs that err by a constant."""
-        usual = {name: getattr(MovingSettings, name) for name in OF_ESTIMATOR}
+        """Return the settings with beliefs that err by a constant."""
+        usual = {name: getattr(MovingSettings, name) for name in ESTIMATOR_FIELDS}
         return replace(self, estimator=None, **usual)
 
 
@@ -99,7 +98,7 @@ class MovingWorlds:
                 robot, self._simulator, settings.suite, settings.estimator, count, seed
             )
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Hang on the lengths of rest at positions, with some speed; biases are drawn anew.
 
         These lengths are what would be asked for there, of the nominal robot; where its plant hangs
@@ -119,7 +118,7 @@ class MovingWorlds:
             sensing.begin(rows)
         return self._reached()
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Let a period pass."""
         asked = length + self._length_bias
         if self._sensing is None:
@@ -129,13 +128,13 @@ class MovingWorlds:
         return self._reached()
 
     def hung(self, length: Array) -> statics.Equilibrium:
-        """The rest of all plants on lengths that encoders say [m], shape (B, n); nothing moves."""
+        """Return the rest of all plants on encoder lengths (B, n) [m]; nothing moves."""
         return statics.forward_kinematics(
             self._simulator.fleet, length + self._length_bias, device=self._device
         )
 
     def state(self) -> dict[str, Any]:
-        """Simulator, biases and their source, sensors and beliefs."""
+        """Return simulator, biases and their source, sensors and beliefs."""
         return {
             "sensing": None if self._sensing is None else self._sensing.state(),
             "simulator": self._simulator.save(),
@@ -157,26 +156,26 @@ class MovingWorlds:
         return sigma * self._rng.standard_normal(shape)
 
     def _lengths(self, rows: NDArray[Any], position: Array) -> Array:
-        """True lengths on which the plants of some worlds can rest, near the given positions."""
+        """Find lengths near given positions on which the plants of some worlds can rest."""
         fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
         where = np.array(position)
-        for _ in range(ATTEMPTS):
+        for _ in range(START_ATTEMPTS_MAX):
             asked = statics.inverse_kinematics(self.robot, where, device=self._device)
             length: Array = asked.unstrained_length + self._length_bias[rows]
             rest = statics.forward_kinematics(fleet, length, device=self._device)
             bad = ~(asked.converged & rest.converged & rest.stable)
             if not bad.any():
                 return length
-            where[bad] += RETREAT * (self.robot.home_position - where[bad])
+            where[bad] += RETREAT_RATIO * (self.robot.home_position - where[bad])
         raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
 
-    def _reached(self) -> Reached:
+    def _reached(self) -> WorldStates:
         state = self._simulator.state.numpy()
         belief = Belief(
             time=state.time, position=state.position + self._position_bias,
             rotation=state.rotation, twist=state.twist,
         )  # fmt: skip
-        return Reached(
+        return WorldStates(
             position=state.position, rotation=state.rotation, twist=state.twist,
             length=state.unstrained_length - self._length_bias,
             inconsistency=np.full_like(state.unstrained_length, np.nan), tension=state.tension,

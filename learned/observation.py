@@ -1,4 +1,4 @@
-"""What a policy sees: named parts of one vector, in units of the workspace.
+"""Observation of a policy: named parts of one vector, in units of the workspace.
 
 The same functions look at an environment while training and at a belief while driving, so a policy
 sees the same numbers in both.
@@ -18,13 +18,13 @@ from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-MARGIN = 0.02  # share of its range by which lengths may go beyond those of the workspace box
-GRID = 9  # points along each edge of the box at which lengths are looked at
+LENGTH_MARGIN_RATIO = 0.02  # of their range, beyond the lengths of the workspace box
+LENGTH_GRID_POINTS = 9  # along each edge of the box, to find the range of lengths
 
 
 @dataclass(frozen=True, kw_only=True)
-class Units:
-    """What counts as 1 in an observation; kept with a policy, which knows no others.
+class ObservationUnits:
+    """Units of an observation, which count as 1; kept with a policy.
 
     Attributes:
         error: Distance from the target [m].
@@ -51,8 +51,8 @@ class Units:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Look:
-    """What there is to see for B robots with n cables.
+class ObservationInputs:
+    """Everything that can be observed of B robots with n cables.
 
     Attributes:
         position: Platform origin in W [m], shape (B, 3).
@@ -90,7 +90,7 @@ class Look:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scales:
+class ObservationScales:
     """The workspace box and the lengths in it, which count as -1 to 1.
 
     Attributes:
@@ -105,42 +105,42 @@ class Scales:
     half: Array
     length_low: Array
     length_high: Array
-    units: Units
+    units: ObservationUnits
 
     @classmethod
-    def of(cls, robot: Robot, units: Units | None = None) -> Scales:
-        """Those of a robot; without units the default ones."""
+    def of(cls, robot: Robot, units: ObservationUnits | None = None) -> ObservationScales:
+        """Measure the workspace of a robot; without units take the default ones."""
         low, high = robot.workspace_min, robot.workspace_max
-        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
+        axes = [np.linspace(a, b, LENGTH_GRID_POINTS) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         lengths = inverse_kinematics(robot, points)
         least, most = lengths.min(axis=0), lengths.max(axis=0)
-        room = MARGIN * (most - least)
+        room = LENGTH_MARGIN_RATIO * (most - least)
         return cls(
             center=(low + high) / 2, half=(high - low) / 2,
             length_low=least - room, length_high=most + room,
-            units=units or Units(),
+            units=units or ObservationUnits(),
         )  # fmt: skip
 
     def to_length(self, action: Array) -> Array:
-        """Actions in [-1, 1] as lengths [m], shape (B, n)."""
+        """Convert actions in [-1, 1] to lengths [m], shape (B, n)."""
         return self.length_low + (action + 1.0) / 2.0 * (self.length_high - self.length_low)
 
     def to_action(self, length: Array) -> Array:
-        """Lengths [m] as actions, shape (B, n)."""
+        """Convert lengths [m] to actions, shape (B, n)."""
         return 2.0 * (length - self.length_low) / (self.length_high - self.length_low) - 1.0
 
     def to_unit(self, position: Array) -> Array:
-        """Positions in W [m] as shares of the box, (..., 3)."""
+        """Convert positions in W [m] to shares of the box, (..., 3)."""
         return (position - self.center) / self.half
 
 
-def _tilt(look: Look, scales: Scales) -> Array:
-    """Horizontal components of the platform's z axis, in W."""
+def _tilt(look: ObservationInputs, scales: ObservationScales) -> Array:
+    """Return the horizontal components of the platform's z axis, in W."""
     return look.rotation[:, :2, 2] / scales.units.tilt
 
 
-PARTS: dict[str, Callable[[Look, Scales], Array]] = {
+OBSERVATION_PARTS: dict[str, Callable[[ObservationInputs, ObservationScales], Array]] = {
     "length": lambda look, scales: scales.to_action(look.length),
     "position": lambda look, scales: scales.to_unit(look.position),
     "target": lambda look, scales: scales.to_unit(look.target),
@@ -163,10 +163,10 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
 }
 
 
-OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
-# Parts that `Units` scale.
-IN_UNITS = {
-    *OF_TWIST,
+TWIST_PARTS = {"velocity", "velocity_error", "turn"}  # parts that need a twist
+# Parts that `ObservationUnits` scale.
+SCALED_PARTS = {
+    *TWIST_PARTS,
     "error",
     "mean_error",
     "tilt",
@@ -179,20 +179,20 @@ IN_UNITS = {
 def check_parts(parts: Sequence[str]) -> None:
     """Refuse an observation of nothing, or of unknown or repeated parts."""
     if not parts:
-        raise InvalidField("observation", "no parts", f"some of {sorted(PARTS)}")
+        raise InvalidField("observation", "no parts", f"some of {sorted(OBSERVATION_PARTS)}")
     for k, name in enumerate(parts):
-        if name not in PARTS or name in parts[:k]:
-            allowed = f"one of {sorted(PARTS)}, each once"
+        if name not in OBSERVATION_PARTS or name in parts[:k]:
+            allowed = f"one of {sorted(OBSERVATION_PARTS)}, each once"
             raise InvalidField(f"observation[{k}]", repr(name), allowed)
 
 
-def observe(parts: Sequence[str], look: Look, scales: Scales) -> Array:
-    """The parts side by side, shape (B, d)."""
-    return np.concatenate([PARTS[name](look, scales) for name in parts], axis=1)
+def observe(parts: Sequence[str], look: ObservationInputs, scales: ObservationScales) -> Array:
+    """Return the parts side by side, shape (B, d)."""
+    return np.concatenate([OBSERVATION_PARTS[name](look, scales) for name in parts], axis=1)
 
 
 def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
-    """A fading mean with one more look in it, shape (B, 3).
+    """Add an error to a fading mean, shape (B, 3).
 
     It starts at zero, so a constant error is seen in full after a few times the memory only.
 
@@ -202,12 +202,11 @@ def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
         period: Between two looks [s].
         memory: Time after which a look counts by 1 / e of what it counted [s].
     """
-    found: Array = mean + (1.0 - math.exp(-period / memory)) * (error - mean)
-    return found
+    return np.asarray(mean + (1.0 - math.exp(-period / memory)) * (error - mean))
 
 
 def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[str, slice]:
-    """Where each part stands in the observation.
+    """Return the place of each part in the observation.
 
     Args:
         parts: Names.

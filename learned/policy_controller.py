@@ -18,24 +18,27 @@ from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
-from learned.observation import OF_TWIST, Look, Scales, fading, observe
+from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
-SUFFIX = ".onnx"
-ROUNDING = 1e-9  # [rows] that are none
-OUTSIDE = 0.02  # by how much of half an edge of the box a target may lie outside it
+POLICY_SUFFIX = ".onnx"
+ROW_TOLERANCE = 1e-9  # [rows] that are none
+BOX_EXCESS_MAX = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
-TRAINED_FOR = (
+TRAINED_FIELDS = (
     "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
     "linear_density", "axial_stiffness", "tension_min", "tension_max", "mass", "center_of_mass",
     "inertia", "gravity", "workspace_min", "workspace_max", "home_rotation",
 )  # fmt: skip
 # And one that moves in real time on these, too.
-TRAINED_IN_MOTION = (
+TRAINED_MOTION_FIELDS = (
     "winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag"
 )  # fmt: skip
-DEFAULTS = {"carosac": "carosac-residual", "scampi": "scampi-residual"}  # bundled policies by robot
+DEFAULT_POLICIES = {
+    "carosac": "carosac-residual",
+    "scampi": "scampi-residual",
+}  # bundled policies by robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +78,7 @@ class PolicyController:
         check_robot(robot, policy)
         self._policy = policy
         self._environment: EnvironmentSettings = environment_settings(policy.description.settings)
-        self._scales = Scales.of(robot, self._environment.units)
+        self._scales = ObservationScales.of(robot, self._environment.units)
         self._actions = make_actions(robot, self._environment, self._scales)
         self._check_sizes(robot)
         period = policy.description.period
@@ -83,10 +86,10 @@ class PolicyController:
         self.period = settings.period if period is None else period
         lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
         target = lag if period is None else 1.0
-        self._target = _Ahead.of([target])
-        self._preview = _Ahead.of([1.0 + k for k in self._environment.preview])
+        self._target = _LookaheadRows.of([target])
+        self._preview = _LookaheadRows.of([1.0 + k for k in self._environment.preview])
         lead = lead_of(robot, self._environment) if self._in_motion else 0.0
-        self._aim = _Ahead.of([target + lead / self.period])
+        self._aim = _LookaheadRows.of([target + lead / self.period])
         rows = [x.last_row for x in (self._target, self._preview, self._aim)]
         self._last_row = max(rows)
         self.horizon = self.period * float(self._last_row)
@@ -122,7 +125,7 @@ class PolicyController:
         self._mean_error = self._lasting_error = np.zeros((len(belief.position), 3))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """The lengths that the policy asks for.
+        """Return the lengths that the policy asks for.
 
         Raises:
             InvalidField: The belief lacks what the policy observes or is further from the reference
@@ -142,9 +145,9 @@ class PolicyController:
         self._length = self._actions.lengths(self._last_action, look)
         return Command(time=belief.time, unstrained_length=self._length)
 
-    def _look(self, belief: Belief, reference: Reference) -> Look:
-        """What there is to see."""
-        wanted = OF_TWIST & set(self._environment.observation)
+    def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
+        """Return what can be observed."""
+        wanted = TWIST_PARTS & set(self._environment.observation)
         if belief.twist is None and wanted:
             allowed = (
                 "that of an estimator that gives velocities, such as dynamic_estimator; the policy "
@@ -163,7 +166,7 @@ class PolicyController:
             mean_error = fading(mean_error, error, self.period, environment.memory)
             memory = environment.correction_memory
             lasting_error = fading(lasting_error, error, self.period, memory)
-        return Look(
+        return ObservationInputs(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
             length=self._length, due=due, due_velocity=due_velocity,
@@ -189,7 +192,7 @@ class PolicyController:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Ahead:
+class _LookaheadRows:
     """Times ahead of now, in rows of a reference.
 
     Attributes:
@@ -207,25 +210,25 @@ class _Ahead:
     between: bool
 
     @classmethod
-    def of(cls, ahead: Sequence[float]) -> _Ahead:
-        """Times in periods."""
-        row = np.floor(np.array(ahead) + ROUNDING).astype(np.intp)
+    def of(cls, ahead: Sequence[float]) -> _LookaheadRows:
+        """Split times in periods into rows and shares."""
+        row = np.floor(np.array(ahead) + ROW_TOLERANCE).astype(np.intp)
         share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
         return cls(
             row=_in_turn(row), next_row=_in_turn(row + 1), share=share,
-            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROUNDING).any()),
+            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROW_TOLERANCE).any()),
         )  # fmt: skip
 
     def rows(self, values: Array, size: int) -> Array:
-        """Values at these times, of B or one for all, (1 or B, N, 3): (B, K, 3)."""
-        found: Array = values[:, self.row]
+        """Interpolate values of B or one for all, (1 or B, N, 3), at these times: (B, K, 3)."""
+        rows: Array = values[:, self.row]
         if self.between:
-            found = (1.0 - self.share) * found + self.share * values[:, self.next_row]
-        return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
+            rows = (1.0 - self.share) * rows + self.share * values[:, self.next_row]
+        return rows if len(rows) == size else np.broadcast_to(rows, (size, *rows.shape[1:]))
 
 
 def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """The same rows as a slice, where each is the one after that before it."""
+    """Return consecutive rows as a slice, and others as they are."""
     if len(rows) == 0:
         return slice(0)
     if (np.diff(rows) == 1).all():
@@ -243,14 +246,14 @@ def check_robot(robot: Robot, policy: Policy) -> None:
     if trained.n != robot.n:
         raise InvalidField("robot", f"{robot.n} cables", f"{trained.n}, as the policy's robot")
     moving = policy.description.period is not None
-    needed = TRAINED_FOR + TRAINED_IN_MOTION if moving else TRAINED_FOR
+    needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS if moving else TRAINED_FIELDS
     names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
     if names:
         allowed = f"{trained.name!r}, which the policy was trained for; {', '.join(names)} differ"
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
 
 
-def check_targets(scales: Scales, target: Array) -> None:
+def check_targets(scales: ObservationScales, target: Array) -> None:
     """Refuse targets outside the workspace box, where a policy has learned nothing.
 
     Args:
@@ -261,14 +264,14 @@ def check_targets(scales: Scales, target: Array) -> None:
         InvalidField: Names the row that is furthest outside, and the box.
     """
     unit = np.abs(scales.to_unit(target))
-    if not unit.max() <= 1.0 + OUTSIDE:
+    if not unit.max() <= 1.0 + BOX_EXCESS_MAX:
         row = int(np.argmax(unit.max(axis=1)))
         low, high = scales.center - scales.half, scales.center + scales.half
         allowed = f"in the workspace box of the policy, {low} m to {high} m"
         raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
 
 
-def check_near(look: Look, lost: float) -> None:
+def check_near(look: ObservationInputs, lost: float) -> None:
     """Refuse beliefs so far from the reference that training cut its episodes short there.
 
     Either the platform is lost or the estimator is; pushing on would make both worse.
@@ -289,25 +292,29 @@ def check_near(look: Look, lost: float) -> None:
 
 
 def list_policies() -> tuple[str, ...]:
-    """Names of the policies that come with the toolkit, sorted."""
+    """Return the names of the policies that come with the toolkit, sorted."""
     names = [entry.name for entry in _folder().iterdir()]
-    return tuple(sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX)))
+    return tuple(
+        sorted(name.removesuffix(POLICY_SUFFIX) for name in names if name.endswith(POLICY_SUFFIX))
+    )
 
 
 def policy_of(robot: Robot) -> str:
-    """Name of the bundled policy that a robot gets by default.
+    """Return the name of the bundled policy that a robot gets by default.
 
     Raises:
         InvalidField: There is none.
     """
-    if robot.name not in DEFAULTS:
-        allowed = f"a robot with a bundled policy, of {sorted(DEFAULTS)}, or a policy of its own"
+    if robot.name not in DEFAULT_POLICIES:
+        allowed = (
+            f"a robot with a bundled policy, of {sorted(DEFAULT_POLICIES)}, or a policy of its own"
+        )
         raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
-    return DEFAULTS[robot.name]
+    return DEFAULT_POLICIES[robot.name]
 
 
 def find_policy(name_or_path: str) -> Path:
-    """The file of a policy.
+    """Find the file of a policy.
 
     Args:
         name_or_path: A bundled name, or a path.
@@ -317,14 +324,14 @@ def find_policy(name_or_path: str) -> Path:
     """
     names = list_policies()
     if name_or_path in names:
-        return _folder() / f"{name_or_path}{SUFFIX}"
+        return _folder() / f"{name_or_path}{POLICY_SUFFIX}"
     path = Path(name_or_path)
-    if path.suffix != SUFFIX and not path.exists():
+    if path.suffix != POLICY_SUFFIX and not path.exists():
         allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
         raise InvalidField("policy", repr(name_or_path), allowed)
     return path
 
 
 def _folder() -> Path:
-    """Where they lie."""
+    """Return the folder of the bundled policies."""
     return Path(str(files("learned") / "policies"))

@@ -15,7 +15,7 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.robot.robot import Robot
-from learned.probe import check_probe, make_probe
+from learned.policy_probe import check_probe, make_probe
 from learned.settings_data import environment_settings
 
 if TYPE_CHECKING:
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
-SCHEMA = "carosac-policy/1"
-PREFIX = "carosac."  # of the names of our metadata
-ACTIVATIONS = ("relu", "silu")
-OPSET = 17
-LARGEST = 1e15  # of an observation: float32 networks are far from overflowing there
-IR_VERSION = 8  # goes with the opset
-INSTALL = "pip install 'carosac-toolkit[learn]'"
-WRITTEN = "an ONNX file that `carosac train` wrote"
+POLICY_SCHEMA = "carosac-policy/1"
+METADATA_PREFIX = "carosac."  # of the names of our metadata
+ACTIVATION_NAMES = ("relu", "silu")
+ONNX_OPSET = 17
+OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overflowing there
+ONNX_IR_VERSION = 8  # goes with the opset
+INSTALL_COMMAND = "pip install 'carosac-toolkit[learn]'"
+POLICY_FILE_NAME = "an ONNX file that `carosac train` wrote"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyDescription:
-    """What a policy was trained for, and how.
+    """Description of what a policy was trained for, and how.
 
     Attributes:
         preset: Name of the preset it was trained with.
@@ -48,8 +48,8 @@ class PolicyDescription:
         steps: Environment steps it was trained for.
         commit: Commit of the code that trained it.
         scores: What an evaluation found, by name with its unit.
-        probe: What fixed looks and actions come to where it was trained (`learned.probe`); None:
-            found out when it is written.
+        probe: Results of fixed observations and actions where it was trained, see
+            `learned.policy_probe`; None: computed when it is written.
     """
 
     preset: str
@@ -108,17 +108,19 @@ class Policy:
             CarosacError: onnxruntime is not installed.
         """
         if Path(path).is_dir():
-            allowed = f"{WRITTEN}: policy.onnx in the folder of a stage"
+            allowed = f"{POLICY_FILE_NAME}: policy.onnx in the folder of a stage"
             raise InvalidField("path", f"the folder {path}", allowed)
         if not Path(path).is_file():
             raise MissingFile(path)
         session = _session(path)
         description = _description(path, session.get_modelmeta().custom_metadata_map)
         sides = (("observation", session.get_inputs()), ("action", session.get_outputs()))
-        for name, found in sides:
-            shapes = {one.name: one.shape for one in found}
+        for name, ends in sides:
+            shapes = {one.name: one.shape for one in ends}
             if set(shapes) != {name} or not _is_batch(shapes[name]):
-                raise InvalidField("path", f"{path} with {shapes}", f"{WRITTEN}: {name} (batch, d)")
+                raise InvalidField(
+                    "path", f"{path} with {shapes}", f"{POLICY_FILE_NAME}: {name} (batch, d)"
+                )
         settings = environment_settings(description.settings)
         check_probe(description.probe, description.robot, settings)
         return cls(session, description)
@@ -138,9 +140,9 @@ class Policy:
         values = np.asarray(observation)
         if values.ndim != 2 or values.shape[1] != self.observation_size or len(values) == 0:
             batch("observation", observation, (self.observation_size,))  # says what is wrong
-        if not np.abs(values).max() <= LARGEST:
+        if not np.abs(values).max() <= OBSERVATION_MAX:
             checked = batch("observation", observation, (self.observation_size,))
-            allowed = f"-{LARGEST:g} to {LARGEST:g}, in units of the observation"
+            allowed = f"-{OBSERVATION_MAX:g} to {OBSERVATION_MAX:g}, in units of the observation"
             raise InvalidField("observation", f"{np.abs(checked).max():g}", allowed)
         seen = {"observation": values.astype(np.float32)}
         action: Array = self._session.run(["action"], seen)[0].astype(np.float64)
@@ -163,8 +165,8 @@ def write_policy(
             an environment.
         CarosacError: onnx is not installed, or the file cannot be written.
     """
-    if activation not in ACTIVATIONS:
-        raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATIONS)}")
+    if activation not in ACTIVATION_NAMES:
+        raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATION_NAMES)}")
     model = _model(_checked(layers), activation)
     if description.probe is None:
         settings = environment_settings(description.settings)
@@ -174,7 +176,7 @@ def write_policy(
 
 
 def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Layers as float32, or an error that names the first that does not fit."""
+    """Return layers as float32; name the first that does not fit."""
     if not layers:
         raise InvalidField("layers", "none", "at least one layer")
     checked = []
@@ -194,19 +196,19 @@ def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float
 
 
 def _model(layers: Layers, activation: str) -> ModelProto:
-    """The graph of a perceptron: observation (batch, in) to action (batch, out)."""
+    """Build the graph of a perceptron: observation (batch, in) to action (batch, out)."""
     try:
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as error:
-        raise CarosacError(f"writing a policy needs onnx: {INSTALL}") from error
+        raise CarosacError(f"writing a policy needs onnx: {INSTALL_COMMAND}") from error
     nodes: list[NodeProto] = []
     tensors = []
     value = "observation"
     for k, (weight, bias) in enumerate(layers):
         tensors.append(numpy_helper.from_array(weight, f"weight_{k}"))
         tensors.append(numpy_helper.from_array(bias, f"bias_{k}"))
-        given = [value, f"weight_{k}", f"bias_{k}"]
-        nodes.append(helper.make_node("Gemm", given, [f"linear_{k}"], transB=1))
+        inputs = [value, f"weight_{k}", f"bias_{k}"]
+        nodes.append(helper.make_node("Gemm", inputs, [f"linear_{k}"], transB=1))
         last = k == len(layers) - 1
         value = "action" if last else f"hidden_{k}"
         if last or activation == "relu":
@@ -220,14 +222,14 @@ def _model(layers: Layers, activation: str) -> ModelProto:
         for name, size in (("observation", layers[0][0].shape[1]), ("action", len(layers[-1][1])))
     ]
     graph = helper.make_graph(nodes, "policy", sides[:1], sides[1:], tensors)
-    opset = [helper.make_opsetid("", OPSET)]
+    opset = [helper.make_opsetid("", ONNX_OPSET)]
     return helper.make_model(
-        graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="carosac-toolkit"
+        graph, opset_imports=opset, ir_version=ONNX_IR_VERSION, producer_name="carosac-toolkit"
     )
 
 
 def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
-    """A checked model with its description, the same bytes for the same policy."""
+    """Check a model and add its description; equal policies give equal bytes."""
     from onnx import checker, helper
 
     record = {f.name: getattr(description, f.name) for f in fields(PolicyDescription)}
@@ -235,19 +237,19 @@ def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in asdict(description.robot).items()
     }
-    texts = {PREFIX + name: json.dumps(value) for name, value in record.items()}
-    helper.set_model_props(model, {PREFIX + "schema": SCHEMA} | texts)
+    texts = {METADATA_PREFIX + name: json.dumps(value) for name, value in record.items()}
+    helper.set_model_props(model, {METADATA_PREFIX + "schema": POLICY_SCHEMA} | texts)
     checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
 
 def _session(path: str | Path) -> Any:
-    """A file open in onnxruntime, on one core."""
+    """Open a file in onnxruntime, on one core."""
     try:
         import onnxruntime
         from onnxruntime.capi import onnxruntime_pybind11_state as failures
     except ImportError as error:
-        raise CarosacError(f"a policy needs onnxruntime: {INSTALL}") from error
+        raise CarosacError(f"a policy needs onnxruntime: {INSTALL_COMMAND}") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -257,45 +259,45 @@ def _session(path: str | Path) -> Any:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except tuple(getattr(failures, name) for name in names) as error:
-        raise InvalidField("path", path, f"{WRITTEN}; this is no ONNX file") from error
+        raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
 
 
 def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
-    """The description in the metadata of a file."""
-    schema = metadata.get(PREFIX + "schema")
-    if schema != SCHEMA:
+    """Read the description in the metadata of a file."""
+    schema = metadata.get(METADATA_PREFIX + "schema")
+    if schema != POLICY_SCHEMA:
         got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
-        raise InvalidField("path", got, f"{WRITTEN}, schema {SCHEMA}")
+        raise InvalidField("path", got, f"{POLICY_FILE_NAME}, schema {POLICY_SCHEMA}")
     names = [f.name for f in fields(PolicyDescription)]
-    missing = [name for name in names if PREFIX + name not in metadata]
+    missing = [name for name in names if METADATA_PREFIX + name not in metadata]
     if missing:
-        allowed = f"{WRITTEN} of this version: train it again with `carosac train`"
+        allowed = f"{POLICY_FILE_NAME} of this version: train it again with `carosac train`"
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
-        record = {name: json.loads(metadata[PREFIX + name]) for name in names}
+        record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except ValueError as error:
-        raise InvalidField("path", f"{path} with damaged metadata", WRITTEN) from error
+        raise InvalidField("path", f"{path} with damaged metadata", POLICY_FILE_NAME) from error
     return PolicyDescription(**record | {"robot": _robot(path, record["robot"])})
 
 
 def _robot(path: str | Path, record: Any) -> Robot:
-    """The robot of a policy; fields that came to `Robot` later may be missing if they can be."""
+    """Read the robot of a policy; optional fields that came to `Robot` later may be missing."""
     needed = {f.name for f in fields(Robot) if f.default is MISSING}
     known = {f.name for f in fields(Robot)}
-    found = set(record) if isinstance(record, dict) else set()
-    wrong = sorted((needed - found) | (found - known))
+    names = set(record) if isinstance(record, dict) else set()
+    wrong = sorted((needed - names) | (names - known))
     if wrong:
         raise InvalidField("path", f"{path} whose robot differs in {wrong}", "the fields of Robot")
     return Robot(**record)
 
 
 def _is_batch(shape: Sequence[Any]) -> bool:
-    """Whether a shape is (batch, d) with a known d."""
+    """Return whether a shape is (batch, d) with a known d."""
     return len(shape) == 2 and isinstance(shape[1], int)
 
 
 def _plain(name: str, value: Any) -> Any:
-    """A mapping as JSON gives it back, or an error."""
+    """Return a mapping as JSON gives it back, or refuse it."""
     allowed = "a mapping of texts to what JSON can hold, all numbers finite"
     if not isinstance(value, Mapping):
         raise InvalidField(name, repr(value), allowed)

@@ -8,10 +8,10 @@ from typing import Literal
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
 from carosac_toolkit.base.numbers import check_fields, check_whole
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.exploration_settings import ExplorationSettings
 from learned.moving_worlds import MovingSettings
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, RewardSettings
+from learned.target_paths import PathSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +94,12 @@ class Td3Settings:
             if getattr(self, name) not in allowed:
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if self.discount > 0.0 and self.values_one_step:
-            said = "0 with a metric critic or relabelled steps, which value one step alone"
-            raise InvalidField("discount", self.discount, said)
+            reason = "0 with a metric critic or relabelled steps, which value one step alone"
+            raise InvalidField("discount", self.discount, reason)
 
     @property
     def values_one_step(self) -> bool:
-        """Whether critic or replay know the reward ``fit`` of a single step, and nothing else."""
+        """True if critic or replay know the reward ``fit`` of a single step, and nothing else."""
         return self.critic == "metric" or self.relabelled > 0.0
 
 
@@ -148,7 +148,7 @@ class Preset:
     stages: dict[str, Stage]
 
     def stage(self, name: str) -> Stage:
-        """A stage by its name.
+        """Find a stage by its name.
 
         Raises:
             InvalidField: There is none of that name.
@@ -159,7 +159,7 @@ class Preset:
 
 
 def find_preset(name: str) -> Preset:
-    """A preset by its name.
+    """Find a preset by its name.
 
     Raises:
         InvalidField: There is none of that name.

@@ -16,7 +16,7 @@ import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from learned.observation import Scales
+from learned.observation import ObservationScales
 from learned.rewards import misfit_reward
 
 
@@ -32,7 +32,7 @@ class RelabellingBuffer(ReplayBuffer):
         *args: Any,
         share: float,
         target: slice,
-        scales: Scales,
+        scales: ObservationScales,
         fit_scale: float,
         span: float,
         **kwargs: Any,
@@ -89,7 +89,7 @@ class RelabellingBuffer(ReplayBuffer):
         return ReplayBufferSamples(*(self.to_torch(part) for part in parts))
 
     def _targets(self, reached: Any) -> Any:
-        """Other targets, in the workspace box and a little around it."""
+        """Draw other targets, in the workspace box and a little around it."""
         scale = 10.0 ** np.random.uniform(-3.0, 0.0, (len(reached), 1))  # noqa: NPY002
         moved = reached + scale * np.random.standard_normal(reached.shape)  # noqa: NPY002
         reach = 1.1 * self._scales.half

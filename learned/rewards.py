@@ -28,7 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 from learned.transition import Transition
 
-DISTANCE_FLOOR = 0.01  # [m] below which the distance in `action_ratio` is not counted smaller
+DISTANCE_FLOOR_M = 0.01  # [m] below which the distance in `action_ratio` is not counted smaller
 PAPER_NO_SAG = ("step", "distance", "goal")
 PAPER_SAG = (*PAPER_NO_SAG, "sag", "action_ratio", "deviation")
 
@@ -38,7 +38,7 @@ class RewardSettings:
     """Which terms are summed, and their numbers.
 
     Attributes:
-        terms: Names of `TERMS`.
+        terms: Names of `REWARD_TERMS`.
         goal_radius: Within which the goal counts as reached [m].
         fit_scale: Misfit at which the reward `fit` turns from linear to logarithmic [m].
         tracking_scale: Misfit at which `tracking` turns from quadratic to logarithmic [m].
@@ -65,8 +65,8 @@ class RewardSettings:
     def __post_init__(self) -> None:
         """Refuse unknown terms and numbers that make no sense."""
         for k, name in enumerate(self.terms):
-            if name not in TERMS:
-                raise InvalidField(f"terms[{k}]", repr(name), f"one of {sorted(TERMS)}")
+            if name not in REWARD_TERMS:
+                raise InvalidField(f"terms[{k}]", repr(name), f"one of {sorted(REWARD_TERMS)}")
         check_fields(
             self,
             positive=("goal_radius", "fit_scale", "tracking_scale"),
@@ -77,37 +77,37 @@ class RewardSettings:
 
 
 def step_reward(distance: Array) -> Array:
-    """The paper's reward for being there at all, 0.01 a step; shape as `distance` (B,)."""
+    """Return the paper's reward for being there at all, 0.01 a step, shape (B,)."""
     return np.full_like(distance, 0.01)
 
 
 def goal_reward(distance: Array, radius: float = 0.05) -> Array:
-    """The paper's 1 within a radius [m] of the goal; `distance` [m], shape (B,)."""
+    """Return the paper's 1 within a radius [m] of the goal; `distance` [m], shape (B,)."""
     return (distance < radius).astype(np.float64)
 
 
 def distance_reward(normalised: Array) -> Array:
-    """The paper's reward of the distance over the largest one in the workspace, shape (B,)."""
+    """Return the paper's reward of the distance over the largest in the workspace, (B,)."""
     return -np.tanh(2.0 * (normalised - 0.06)) + 0.002
 
 
 def sag_reward(difference: Array) -> Array:
-    """The paper's reward of length less straight distance [m], a mean over cables, shape (B,)."""
+    """Return the paper's reward of length less straight distance [m], a mean, shape (B,)."""
     return -0.7 * np.tanh(difference**2 + 0.09) - 0.035
 
 
 def action_ratio_reward(ratio: Array) -> Array:
-    """The paper's reward of the change of length over the distance to the goal, shape (B,)."""
+    """Return the paper's reward of the change of length over the distance, shape (B,)."""
     return -(np.tanh(ratio) ** 15) / 10.0
 
 
 def deviation_reward(difference: Array) -> Array:
-    """The paper's reward of the action less straight-line lengths of the goal [m], shape (B,)."""
+    """Return the paper's reward of the action less straight lengths of the goal [m], (B,)."""
     return -(np.tanh(difference) ** 4) / 5.0
 
 
 def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
-    r"""A reward that asks for the last millimetre as well as for the first metre.
+    r"""Return a reward that asks for the last millimetre as well as for the first metre.
 
     .. math:: r = -\ln(1 + \min(m, D) / s) / \ln(1 + D / s)
 
@@ -120,12 +120,11 @@ def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
         scale: s [m].
         span: D, the largest distance in the workspace [m], from which on the reward is -1.
     """
-    found: Array = -np.log1p(np.minimum(misfit, span) / scale) / np.log1p(span / scale)
-    return found
+    return np.asarray(-np.log1p(np.minimum(misfit, span) / scale) / np.log1p(span / scale))
 
 
 def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
-    r"""A reward for feedback: quadratic close by, so that small errors call for small actions.
+    r"""Return a reward for feedback: quadratic close by, so small errors get small actions.
 
     .. math:: r = -\ln(1 + (m / s)^2) / \ln(1 + (D / s)^2)
 
@@ -136,12 +135,11 @@ def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
         scale: s, where it turns from quadratic to logarithmic [m].
         span: D, the largest distance in the workspace [m], where the reward is -1.
     """
-    found: Array = -np.log1p((misfit / scale) ** 2) / np.log1p((span / scale) ** 2)
-    return found
+    return np.asarray(-np.log1p((misfit / scale) ** 2) / np.log1p((span / scale) ** 2))
 
 
 def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
-    r"""What is wrong with lengths wherever the target is, in metres of distance, shape (B,).
+    r"""Return the misfit of lengths wherever the target is, as a distance [m], shape (B,).
 
     .. math:: m_L^2 = (c |\Delta L|)^2 + \sum_i (k o_i)^2, \qquad
               o_i = \max(0, t_{min,i} + \rho w - t_i) / w, \qquad w = m g / n
@@ -156,8 +154,7 @@ def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
         taut = robot.tension_min + settings.reserve * share
         lack = np.maximum(0.0, taut - transition.tension) / share
         square = square + settings.slack**2 * (lack**2).sum(axis=1)
-    found: Array = np.sqrt(square)
-    return found
+    return np.asarray(np.sqrt(square))
 
 
 class Reward:
@@ -174,13 +171,12 @@ class Reward:
         self.span = span
 
     def __call__(self, transition: Transition) -> Array:
-        """Reward of each environment, shape (B,)."""
-        found: Array = np.sum(list(self.terms(transition).values()), axis=0)
-        return found
+        """Return the reward of each environment, shape (B,)."""
+        return np.asarray(np.sum(list(self.terms(transition).values()), axis=0))
 
     def terms(self, transition: Transition) -> dict[str, Array]:
-        """Each term by name, shape (B,)."""
-        return {name: TERMS[name](transition, self) for name in self.settings.terms}
+        """Return each term by name, shape (B,)."""
+        return {name: REWARD_TERMS[name](transition, self) for name in self.settings.terms}
 
 
 def _distance(transition: Transition, reward: Reward) -> Array:
@@ -195,7 +191,7 @@ def _sag(transition: Transition, reward: Reward) -> Array:
 def _action_ratio(transition: Transition, reward: Reward) -> Array:
     change = np.linalg.norm(transition.asked - transition.length_before, axis=1)
     away = np.linalg.norm(transition.position_before - transition.target, axis=1)
-    return action_ratio_reward(change / np.maximum(away, DISTANCE_FLOOR))
+    return action_ratio_reward(change / np.maximum(away, DISTANCE_FLOOR_M))
 
 
 def _deviation(transition: Transition, reward: Reward) -> Array:
@@ -214,7 +210,7 @@ def _tracking(transition: Transition, reward: Reward) -> Array:
     return tracking_reward(misfit, reward.settings.tracking_scale, reward.span)
 
 
-TERMS: dict[str, Callable[[Transition, Reward], Array]] = {
+REWARD_TERMS: dict[str, Callable[[Transition, Reward], Array]] = {
     "step": lambda transition, reward: step_reward(transition.distance),
     "goal": lambda transition, reward: goal_reward(
         transition.distance, reward.settings.goal_radius

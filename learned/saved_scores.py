@@ -9,15 +9,15 @@ from typing import Any
 
 from carosac_toolkit.base.npz import read_npz, write_npz
 from carosac_toolkit.robot.robot import Robot
-from learned.scores import Scores
+from learned.scores import PolicyScores
 
-SCORES, ROBOT = "scores.npz", "robot.npz"
-KEY = "evaluation"
+SCORES_FILE, ROBOT_FILE = "scores.npz", "robot.npz"
+SCORES_KEY = "evaluation"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SavedScores:
-    """What ``carosac evaluate`` found.
+    """Scores of one run of ``carosac evaluate``.
 
     Attributes:
         policy: As it was named.
@@ -29,7 +29,7 @@ class SavedScores:
     policy: str
     protocol: str
     robot: Robot
-    scores: Mapping[str, Scores]
+    scores: Mapping[str, PolicyScores]
 
     def write(self, folder: Path) -> None:
         """Write it into a folder that exists."""
@@ -40,8 +40,8 @@ class SavedScores:
             if (value := getattr(scores, field.name)) is not None
         }
         rest = {"policy": self.policy, "protocol": self.protocol, "names": list(self.scores)}
-        self.robot.to_npz(folder / ROBOT)
-        write_npz(folder / SCORES, KEY, rest, arrays)
+        self.robot.to_npz(folder / ROBOT_FILE)
+        write_npz(folder / SCORES_FILE, SCORES_KEY, rest, arrays)
 
     @classmethod
     def read(cls, folder: Path) -> SavedScores:
@@ -51,12 +51,12 @@ class SavedScores:
             MissingFile: There is nothing.
             InvalidField: ``carosac evaluate`` did not write it.
         """
-        rest, arrays = read_npz(folder / SCORES, KEY, "carosac evaluate")
-        scores: dict[str, Scores] = {}
+        rest, arrays = read_npz(folder / SCORES_FILE, SCORES_KEY, "carosac evaluate")
+        scores: dict[str, PolicyScores] = {}
         for number, name in enumerate(rest["names"]):
             known: dict[str, Any] = {
-                x.name: arrays.get(f"{number}.{x.name}") for x in fields(Scores)
+                x.name: arrays.get(f"{number}.{x.name}") for x in fields(PolicyScores)
             }
-            scores[name] = Scores(**known)
-        robot = Robot.from_npz(folder / ROBOT)
+            scores[name] = PolicyScores(**known)
+        robot = Robot.from_npz(folder / ROBOT_FILE)
         return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)

@@ -1,4 +1,4 @@
-"""How well a policy does on given paths: errors, and whether its cables agree with each other."""
+"""Scores of a policy on paths: errors, and whether its cables agree with each other."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
-from learned.episodes import Path
+from learned.target_paths import TargetPath
 
-AT_LIMIT = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
+TENSION_TOLERANCE_N = 1e-3  # inverse kinematics may choose a tension that is just at its limit
 
 Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
-    """What happened on N paths of T steps, with n cables.
+class PolicyScores:
+    """Outcome of N paths of T steps, with n cables.
 
     Attributes:
         target: Targets in W [m], shape (N, T, 3).
@@ -55,7 +55,7 @@ class Scores:
         return self.position - self.target
 
     def data(self, robot: Robot) -> dict[str, Any]:
-        """The numbers of ``carosac evaluate``; NaN where all paths failed at their first step.
+        """Return the numbers of ``carosac evaluate``; NaN where all paths failed at once.
 
         Args:
             robot: For its tension limits.
@@ -81,20 +81,20 @@ class Scores:
         }
         if self.tension is not None:
             seen = self.tension[valid]
-            slack = seen < robot.tension_min - AT_LIMIT
-            overload = seen > robot.tension_max + AT_LIMIT
+            slack = seen < robot.tension_min - TENSION_TOLERANCE_N
+            overload = seen > robot.tension_max + TENSION_TOLERANCE_N
             data["slack_share"] = _mean(np.any(slack, axis=1))
             data["overload_share"] = _mean(np.any(overload, axis=1))
             data["tension_range_N"] = [_percentile(seen, 0), _percentile(seen, 100)]
         return data
 
 
-def sound_paths(scores: Scores) -> NDArray[np.bool_]:
-    """Paths on which nothing failed, shape (N,)."""
+def sound_paths(scores: PolicyScores) -> NDArray[np.bool_]:
+    """Return the paths on which nothing failed, shape (N,)."""
     return np.asarray(~scores.failed.any(axis=1))
 
 
-def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
+def score(environment: CableEnvironment, act: Act, paths: list[TargetPath]) -> PolicyScores:
     """Follow paths to the end of the longest, as many at once as the environment has rows.
 
     Args:
@@ -115,43 +115,43 @@ def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
         _score_batch(environment, act, paths[k : k + size], steps)
         for k in range(0, len(paths), size)
     ]
-    found: dict[str, Any] = {
+    columns: dict[str, Any] = {
         name: None if values is None else np.concatenate([part[name] for part in parts])
         for name, values in parts[0].items()
     }
-    found["counted"] = np.arange(steps) < ends[:, None]
-    found["failed"] &= found["counted"]
-    return Scores(**found)
+    columns["counted"] = np.arange(steps) < ends[:, None]
+    columns["failed"] &= columns["counted"]
+    return PolicyScores(**columns)
 
 
 def _score_batch(
-    environment: CableEnvironment, act: Act, paths: list[Path], steps: int
+    environment: CableEnvironment, act: Act, paths: list[TargetPath], steps: int
 ) -> dict[str, Any]:
-    """Follow one path in each row of the environment; all of `Scores` but what counts."""
+    """Follow one path in each row of the environment; all of `PolicyScores` but what counts."""
     observation = environment.reset(paths)
-    names = [name for name in Scores.__dataclass_fields__ if name != "counted"]
-    found: dict[str, list[Any]] = {name: [] for name in names}
+    names = [name for name in PolicyScores.__dataclass_fields__ if name != "counted"]
+    columns: dict[str, list[Any]] = {name: [] for name in names}
     for _ in range(steps):
         result = environment.step(act(observation))
         observation = result.observation
         transition = result.transition
         wanted, tilt = _wanted(environment, transition.target, result.reached.rotation)
-        found["target"].append(transition.target)
-        found["position"].append(transition.position)
-        found["length_error"].append(transition.asked - wanted)
-        found["inconsistency"].append(np.abs(transition.inconsistency).max(axis=1))
-        found["length"].append(transition.length)
-        found["tilt"].append(tilt)
-        found["tension"].append(result.reached.tension)
-        found["failed"].append(result.failed)
+        columns["target"].append(transition.target)
+        columns["position"].append(transition.position)
+        columns["length_error"].append(transition.asked - wanted)
+        columns["inconsistency"].append(np.abs(transition.inconsistency).max(axis=1))
+        columns["length"].append(transition.length)
+        columns["tilt"].append(tilt)
+        columns["tension"].append(result.reached.tension)
+        columns["failed"].append(result.failed)
     return {
         name: None if values[0] is None else np.stack(values, axis=1)
-        for name, values in found.items()
+        for name, values in columns.items()
     }
 
 
 def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tuple[Array, Array]:
-    """Lengths of inverse kinematics of targets (B, n), and the tilt against rest there (B,)."""
+    """Return inverse kinematics of targets (B, n), and the tilt against rest there (B,)."""
     robot = environment.robot
     if environment.settings.world == "no_sag":
         return straight_line.inverse_kinematics(robot, target), np.zeros(len(target))
@@ -161,15 +161,15 @@ def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tu
 
 
 def _mean(values: Any) -> float:
-    """The mean; NaN of nothing, as those below."""
+    """Return the mean; NaN of nothing, as those below."""
     return float(np.mean(values)) if np.size(values) else float("nan")
 
 
 def _median(values: NDArray[Any]) -> float:
-    """The median."""
+    """Return the median."""
     return _percentile(values, 50)
 
 
 def _percentile(values: NDArray[Any], share: float) -> float:
-    """A percentile."""
+    """Return a percentile."""
     return float(np.percentile(values, share)) if np.size(values) else float("nan")

@@ -20,11 +20,11 @@ from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
 
-LATER = 0.01  # [s] after which an estimator is tried
+TRIAL_STEP_S = 0.01  # after which an estimator is tried
 
 
 class Sensing:
-    """What estimators believe in the first worlds of a simulator, from what its sensors say.
+    """Sensors of the first worlds of a simulator, and the beliefs of estimators there.
 
     Sensors, their rates and delays are those of driver `simulator`. Each world has a belief of its
     own, so that one can be set down anew while the others go on.
@@ -58,7 +58,7 @@ class Sensing:
 
     @property
     def encoder_bias(self) -> Array:
-        """What the encoders of the worlds with an estimator say too much [m], (count, n)."""
+        """Encoder errors of the worlds with an estimator [m], shape (count, n)."""
         return self._sensors.encoder_bias[: self.count]
 
     def renew(self, rows: NDArray[Any]) -> None:
@@ -84,7 +84,7 @@ class Sensing:
         first = self._estimator.reset(measured)
         self._estimator.reset(measured)
         sent = Command(time=measured.time, unstrained_length=measured.unstrained_length)
-        later = replace(measured, time=measured.time + LATER, imu=None)
+        later = replace(measured, time=measured.time + TRIAL_STEP_S, imu=None)
         try:
             belief = self._estimator.update(first, sent, later)
         except CarosacError as error:
@@ -116,7 +116,7 @@ class Sensing:
                 self._beliefs[row] = self._estimator.update(belief, *news)
 
     def believed(self, truth: Belief) -> Belief:
-        """A belief of all worlds: that of the estimators, and of another one where there is none.
+        """Return the beliefs of the estimators, and another one where there is none.
 
         While an estimator stands nowhere it believes in the last pose, at rest.
         """
@@ -130,7 +130,7 @@ class Sensing:
         return replace(truth, position=position, rotation=rotation, twist=twist)
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes."""
+        """Return everything that changes."""
         sensors = copy.deepcopy(self._sensors)
         return {"sensors": sensors, "beliefs": list(self._beliefs), "now": self._now}
 
@@ -143,7 +143,7 @@ class Sensing:
 
 
 def one_row(value: Any, row: int) -> Any:
-    """One row of everything that is batched in a value that flows, as a batch of one."""
+    """Return one row of everything batched in a value that flows, as a batch of one."""
     if isinstance(value, np.ndarray):
         return value[row : row + 1]
     if not is_dataclass(value):

@@ -7,11 +7,11 @@ from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
-from learned.observation import IN_UNITS, Units
+from learned.observation import SCALED_PARTS, ObservationUnits
+from learned.target_paths import PathSettings
 
-_PARTS = {"path": PathSettings, "moving": MovingSettings, "units": Units}
+_PARTS = {"path": PathSettings, "moving": MovingSettings, "units": ObservationUnits}
 
 
 def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
@@ -26,7 +26,7 @@ def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
     data = settings.get("environment")
     if not isinstance(data, dict):
         raise InvalidField("settings.environment", data, "the settings of an environment")
-    if "units" not in data and IN_UNITS & set(data.get("observation", ())):
+    if "units" not in data and SCALED_PARTS & set(data.get("observation", ())):
         allowed = "the units of the observation, which old policies lack: train it again"
         raise InvalidField("settings.environment.units", None, allowed)
     values = {name: _tuple(value) for name, value in data.items() if name != "reward"}
@@ -47,5 +47,5 @@ def _check_names(where: str, values: dict[str, Any], kind: Any) -> None:
 
 
 def _tuple(value: Any) -> Any:
-    """Lists of JSON as tuples."""
+    """Convert lists of JSON to tuples."""
     return tuple(value) if isinstance(value, list) else value

@@ -16,9 +16,9 @@ from learned.presets import Stage, Td3Settings
 from learned.relabelling import RelabellingBuffer
 from learned.vector_environment import CableVecEnv
 
-ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
-QUIET = 0.01  # by which the last layer of a quiet start is smaller
-NOISE_CLIP = 2.5  # of the noise on target actions, over its standard deviation
+ACTIVATION_MODULES = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
+QUIET_START_RATIO = 0.01  # by which the last layer of a quiet start is smaller
+NOISE_CLIP_RATIO = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 BUFFER_EXTRAS = ("positions", "lengths_misfits", "failed")
 
@@ -46,7 +46,7 @@ class StagedTd3(TD3):
 
 
 def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
-    """A model that has learned nothing yet.
+    """Build a model that has learned nothing yet.
 
     Args:
         stage: Its settings.
@@ -69,7 +69,7 @@ def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
         gamma=settings.discount, tau=settings.target_rate, train_freq=1,
         gradient_steps=settings.gradient_steps,
         target_policy_noise=settings.target_noise,
-        target_noise_clip=NOISE_CLIP * settings.target_noise,
+        target_noise_clip=NOISE_CLIP_RATIO * settings.target_noise,
         action_noise=noise, policy_kwargs=_networks(stage, target, span), seed=seed, device="cpu",
         stats_window_size=max(100, settings.environments),  # all episodes that end in one step
         replay_buffer_class=RelabellingBuffer if buffer else None,
@@ -85,17 +85,17 @@ def _quieten(model: StagedTd3) -> None:
     """Let the actor start with actions near zero."""
     last = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)][-1]
     with torch.no_grad():
-        last.weight.mul_(QUIET)
+        last.weight.mul_(QUIET_START_RATIO)
         last.bias.zero_()
     model.actor_target.load_state_dict(model.actor.state_dict())
 
 
 def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]:
-    """Arguments of the policy: sizes, activation, critics."""
+    """Return the arguments of the policy: sizes, activation, critics."""
     settings = stage.td3
     policy: dict[str, Any] = {
         "net_arch": list(settings.hidden),
-        "activation_fn": ACTIVATIONS[settings.activation],
+        "activation_fn": ACTIVATION_MODULES[settings.activation],
         "n_critics": settings.critics,
     }
     if settings.critic == "metric":
@@ -107,7 +107,7 @@ def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]
 def _relabelling(
     stage: Stage, environment: CableVecEnv, target: slice | None, span: float
 ) -> dict[str, Any]:
-    """Arguments of the relabelling buffer; empty without relabelling."""
+    """Return the arguments of the relabelling buffer; empty without relabelling."""
     if stage.td3.relabelled == 0.0:
         return {}
     reward = stage.environment.reward
@@ -119,7 +119,7 @@ def _relabelling(
 
 
 def state_of(model: StagedTd3) -> dict[str, Any]:
-    """Everything that changes while training, with all sources of randomness."""
+    """Return everything that changes while training, with all sources of randomness."""
     buffer = model.replay_buffer
     assert buffer is not None and isinstance(model.action_noise, DecayingNoise)
     assert isinstance(model.env, CableVecEnv)
@@ -183,6 +183,6 @@ def take_networks(model: StagedTd3, state: dict[str, Any]) -> list[Any]:
 
 
 def layers_of(model: StagedTd3) -> list[tuple[Any, Any]]:
-    """Weights and biases of the actor, layer by layer, for `learned.policy_file`."""
+    """Return weights and biases of the actor, layer by layer, for `learned.policy_file`."""
     linear = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)]
     return [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]

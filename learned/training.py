@@ -22,38 +22,46 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
-from learned.curve import (
-    CURVE,
-    EPISODES,
+from learned.delayed_signals import delayed_signals
+from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.learning_curve import (
+    CURVE_FILE,
+    EPISODES_FILE,
     Episode,
     measured,
     read_curve,
     write_curve,
     write_episodes,
 )
-from learned.delayed_signals import delayed_signals
-from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import Path as TargetPath
 from learned.policy_file import PolicyDescription, write_policy
 from learned.presets import Stage
 from learned.scores import score
-from learned.training_record import UNKNOWN, TrainingRecord, check_settings, check_start, digest
+from learned.target_paths import TargetPath
+from learned.training_record import (
+    UNKNOWN_COMMIT,
+    TrainingRecord,
+    check_settings,
+    check_start,
+    digest,
+)
 
-CHECKPOINT, POLICY = "checkpoint.pt", "policy.onnx"
+CHECKPOINT_FILE, POLICY_FILE = "checkpoint.pt", "policy.onnx"
 TEST_SEED = 2_000_003  # of the paths on which the learning curve is measured
 TEST_PATHS = 64
-TEST_STEPS = 40  # of a path of set-points
-REPORTS = 40  # points of the learning curve, at most
-REPORT_STEPS = 2_000  # between two of them, at least
-CHECKPOINT_EVERY = 120.0  # [s]
-NOTICE = "stopping after this step, with a checkpoint (Ctrl-C again: at once, without a new one)"
+TEST_SET_POINTS = 40  # of a path of set-points
+CURVE_POINTS_MAX = 40  # points of the learning curve, at most
+CURVE_INTERVAL_MIN = 2_000  # between two of them, at least
+CHECKPOINT_INTERVAL_S = 120.0
+STOP_NOTICE = (
+    "stopping after this step, with a checkpoint (Ctrl-C again: at once, without a new one)"
+)
 
 Report = Callable[[dict[str, float], float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
-    """What to train.
+class TrainingJob:
+    """Job of training one stage.
 
     Attributes:
         robot: The nominal robot.
@@ -83,7 +91,7 @@ class Job:
         return f"{self.preset}-{self.changes}" if self.changes else self.preset
 
     def settings(self) -> dict[str, Any]:
-        """All settings as JSON holds them."""
+        """Return all settings as JSON holds them."""
         start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
             "preset": self.preset, "changes": self.changes, "stage": self.stage_name,
@@ -94,13 +102,13 @@ class Job:
         }  # fmt: skip
 
     def settings_as_json(self) -> dict[str, Any]:
-        """All settings as they are read back from a file: without tuples."""
-        found: dict[str, Any] = json.loads(json.dumps(self.settings()))
-        return found
+        """Return all settings as they are read back from a file: without tuples."""
+        settings: dict[str, Any] = json.loads(json.dumps(self.settings()))
+        return settings
 
 
 def train(
-    job: Job, folder: Path, *, report: Report | None = None, stop_after: int | None = None
+    job: TrainingJob, folder: Path, *, report: Report | None = None, stop_after: int | None = None
 ) -> Path | None:
     """Train, or go on with what was begun in a folder.
 
@@ -121,7 +129,7 @@ def train(
     import torch
 
     if _finished(job, folder):
-        return folder / POLICY  # as the code that trained it wrote it
+        return folder / POLICY_FILE  # as the code that trained it wrote it
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
     run = _Run(job, folder, report)
     made = missing_folders(folder)
@@ -137,19 +145,19 @@ def train(
     return run.export()
 
 
-def _finished(job: Job, folder: Path) -> bool:
-    """Whether a folder holds the policy of all steps of this very training."""
+def _finished(job: TrainingJob, folder: Path) -> bool:
+    """Return whether a folder holds the policy of all steps of this very training."""
     check_settings(job.settings_as_json(), folder)
-    if not all((folder / name).is_file() for name in (POLICY, CHECKPOINT, CURVE)):
+    if not all((folder / name).is_file() for name in (POLICY_FILE, CHECKPOINT_FILE, CURVE_FILE)):
         return False
-    rows = read_curve(folder / CURVE)
+    rows = read_curve(folder / CURVE_FILE)
     return bool(rows) and rows[-1]["steps"] >= job.stage.td3.steps
 
 
 class _Run:
     """One training in one folder."""
 
-    def __init__(self, job: Job, folder: Path, report: Report | None) -> None:
+    def __init__(self, job: TrainingJob, folder: Path, report: Report | None) -> None:
         from learned.td3 import build_model
         from learned.vector_environment import CableVecEnv
 
@@ -179,7 +187,7 @@ class _Run:
 
     @property
     def done(self) -> bool:
-        """Whether all steps are made."""
+        """True once all steps are made."""
         return bool(self.model.num_timesteps >= self.job.stage.td3.steps)
 
     def begin(self) -> None:
@@ -188,7 +196,7 @@ class _Run:
 
         settings = self.job.settings_as_json()
         known = check_settings(settings, self.folder)
-        checkpoint, earlier = self.folder / CHECKPOINT, None
+        checkpoint, earlier = self.folder / CHECKPOINT_FILE, None
         if self.job.start is not None and not checkpoint.exists():
             earlier = check_start(settings, self.job.start, self.job.start_changes)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -200,13 +208,15 @@ class _Run:
         self.callback.init_callback(self.model)
         if checkpoint.exists():
             self._restore(checkpoint)
-            self.record = known or TrainingRecord(settings=settings, commits=(UNKNOWN,))
+            self.record = known or TrainingRecord(settings=settings, commits=(UNKNOWN_COMMIT,))
             if not self.done:
-                self.record = self.record.resumed(commit_of_code() or UNKNOWN)
+                self.record = self.record.resumed(commit_of_code() or UNKNOWN_COMMIT)
         else:
             started = None if earlier is None else self._start_from(earlier)
             self.record = TrainingRecord(
-                settings=settings, commits=(commit_of_code() or UNKNOWN,), started_from=started
+                settings=settings,
+                commits=(commit_of_code() or UNKNOWN_COMMIT,),
+                started_from=started,
             )
         self.record.write(self.folder)
         self._write_tables()
@@ -215,23 +225,23 @@ class _Run:
         """Train to the end; False if stopped before. Ctrl-C ends it with a checkpoint."""
         last = np.inf if stop_after is None else stop_after
         saved = time.monotonic()
-        with delayed_signals(NOTICE) as called_off:
+        with delayed_signals(STOP_NOTICE) as called_off:
             while not self.done:
                 self._advance()
                 if called_off() or self.model.num_timesteps >= last:
                     self._save()
                     return False
-                if time.monotonic() - saved > CHECKPOINT_EVERY:
+                if time.monotonic() - saved > CHECKPOINT_INTERVAL_S:
                     self._save()
                     saved = time.monotonic()
             if not self.rows or self.rows[-1]["steps"] < self.model.num_timesteps:
                 self._measure()
-            (self.folder / POLICY).unlink(missing_ok=True)  # any is another training's
+            (self.folder / POLICY_FILE).unlink(missing_ok=True)  # any is another training's
             self._save()
         return True
 
     def _advance(self) -> None:
-        """One step of all environments, the updates that belong to it, and what is due then."""
+        """Take one step of all environments, with the updates and reports due then."""
         from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
         model, td3 = self.model, self.job.stage.td3
@@ -243,7 +253,7 @@ class _Run:
         self._keep_episodes()
         if model.num_timesteps > model.learning_starts:
             model.train(td3.gradient_steps, td3.batch_size)
-        every = max(REPORT_STEPS, td3.steps // REPORTS)
+        every = max(CURVE_INTERVAL_MIN, td3.steps // CURVE_POINTS_MAX)
         if model.num_timesteps // every > (model.num_timesteps - td3.environments) // every:
             self._measure()
 
@@ -258,14 +268,14 @@ class _Run:
             settings=self.record.data(), seed=job.seed, steps=self.model.num_timesteps,
             commit=self.record.commit, scores={k: v for k, v in last.items() if np.isfinite(v)},
         )  # fmt: skip
-        path = self.folder / POLICY
+        path = self.folder / POLICY_FILE
         write_policy(path, layers_of(self.model), job.stage.td3.activation, description)
         return path
 
     def act(self, observation: Array) -> Array:
-        """The policy without noise."""
-        found, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
-        return found.astype(np.float64)
+        """Act by the policy without noise."""
+        action, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
+        return action.astype(np.float64)
 
     def _keep_episodes(self) -> None:
         """Take over the episodes that ended."""
@@ -277,7 +287,7 @@ class _Run:
     def _measure(self) -> None:
         """Add a point to the learning curve."""
         self.test.restore(self.fresh)
-        found = score(self.test, self.act, self.paths).data(self.job.robot)
+        scores = score(self.test, self.act, self.paths).data(self.job.robot)
         before = self.rows[-1]["steps"] if self.rows else 0.0
         rewards = [one.reward for one in self.episodes if one.steps > before]
         row = {
@@ -285,7 +295,7 @@ class _Run:
             "updates": float(self.model._n_updates),
             "cpu_seconds": self.spent,
             "reward": float(np.mean(rewards)) if rewards else float("nan"),
-            **measured(found),
+            **measured(scores),
         }
         self.rows.append(row)
         self._write_tables()
@@ -298,8 +308,8 @@ class _Run:
 
     def _write_tables(self) -> None:
         """Write learning curve and episodes as they are now."""
-        write_curve(self.folder / CURVE, self.rows)
-        write_episodes(self.folder / EPISODES, self.episodes)
+        write_curve(self.folder / CURVE_FILE, self.rows)
+        write_episodes(self.folder / EPISODES_FILE, self.episodes)
 
     def _save(self) -> None:
         """Write the checkpoint, as a whole or not at all, and the tables as they are in it."""
@@ -311,9 +321,9 @@ class _Run:
             "rows": self.rows, "ended": [tuple(one) for one in self.episodes],
             "cpu_seconds": self.spent,
         }  # fmt: skip
-        part = self.folder / (CHECKPOINT + ".part")
+        part = self.folder / (CHECKPOINT_FILE + ".part")
         torch.save(state, part)
-        part.replace(self.folder / CHECKPOINT)
+        part.replace(self.folder / CHECKPOINT_FILE)
         self._write_tables()
 
     def _restore(self, checkpoint: Path) -> None:
@@ -344,7 +354,7 @@ class _Run:
 
 
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
-    """Settings of the environment in which the learning curve is measured.
+    """Return the settings of the environment in which the learning curve is measured.
 
     Fewer set-points, no paths but those that are measured on, and all errors count. In real time
     no estimators, which would take longer than the training: beliefs err by a constant.
@@ -354,4 +364,4 @@ def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
             settings, lost=None, moving=settings.moving.without_estimator(),
             path=replace(settings.path, pool=TEST_PATHS),
         )  # fmt: skip
-    return replace(settings, path=replace(settings.path, steps=TEST_STEPS, pool=TEST_PATHS))
+    return replace(settings, path=replace(settings.path, steps=TEST_SET_POINTS, pool=TEST_PATHS))

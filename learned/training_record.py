@@ -1,4 +1,4 @@
-"""What a training is and was: its settings, the code that ran it, and what it started from."""
+"""Record of a training: its settings, the code that ran it, and what it started from."""
 
 from __future__ import annotations
 
@@ -14,11 +14,15 @@ import numpy as np
 from carosac_toolkit.base.errors import InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
 
-SETTINGS = "settings.json"
-UNKNOWN = "unknown"  # commit of code that is not under git
-HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
+SETTINGS_FILE = "settings.json"
+UNKNOWN_COMMIT = "unknown"  # commit of code that is not under git
+HISTORY_FIELDS = (
+    "commit",
+    "commits",
+    "started_from",
+)  # beside the settings; the first in older files
 # Fields that came later, with what trainings did before.
-LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+LATER_FIELDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ((), {"changes": "", "device": "cpu"}),
     (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
@@ -29,8 +33,8 @@ LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ),
     (("td3",), {"target_rate": 0.005}),
 )
-SAID = 3  # of the settings that differ, in an error
-SHARED = (  # with the stage that a later one starts from
+DIFFERENCES_SHOWN = 3  # of the settings that differ, in an error
+SHARED_FIELDS = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
     ("environment", "action"), ("environment", "memory"), ("environment", "correction"),
@@ -41,7 +45,7 @@ SHARED = (  # with the stage that a later one starts from
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingRecord:
-    """What ``settings.json`` holds.
+    """Content of ``settings.json``.
 
     Attributes:
         settings: What was asked for, as JSON gives it back.
@@ -58,22 +62,22 @@ class TrainingRecord:
 
     @property
     def commit(self) -> str:
-        """All commits in one text."""
+        """Text of all commits."""
         return ", ".join(self.commits)
 
     def resumed(self, commit: str) -> TrainingRecord:
-        """The record of a training that goes on with the code of a commit."""
+        """Return the record of a training that continues with the code of a commit."""
         if commit == self.commits[-1]:
             return self
         return replace(self, commits=(*self.commits, commit))
 
     def data(self) -> dict[str, Any]:
-        """All of it, as JSON holds it."""
+        """Return all of it, as JSON holds it."""
         history = {"commits": list(self.commits), "started_from": self.started_from}
         return self.settings | history
 
     def as_start(self, checkpoint: str, steps: int, networks: Iterable[Any]) -> dict[str, Any]:
-        """What a later stage keeps of this one when it starts from its networks.
+        """Return what a later stage keeps of this one when it starts from its networks.
 
         Args:
             checkpoint: Folder and name.
@@ -88,23 +92,23 @@ class TrainingRecord:
 
     def write(self, folder: Path) -> None:
         """Write it to a folder, as a whole or not at all."""
-        with replacing(folder / SETTINGS) as temporary:
+        with replacing(folder / SETTINGS_FILE) as temporary:
             temporary.write_text(json.dumps(self.data(), indent=1) + "\n", encoding="utf-8")
 
 
 def read_record(folder: Path) -> TrainingRecord | None:
-    """The record of a training; None where there is none.
+    """Read the record of a training; return None where there is none.
 
     Settings that came later than the training change nothing in it, and are there by default.
     """
-    path = folder / SETTINGS
+    path = folder / SETTINGS_FILE
     if not path.is_file():
         return None
-    found = json.loads(path.read_text(encoding="utf-8"))
-    history = {name: found.pop(name, None) for name in HISTORY}
-    commits = history["commits"] or [history["commit"] or UNKNOWN]
+    settings = json.loads(path.read_text(encoding="utf-8"))
+    history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
+    commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
     return TrainingRecord(
-        settings=with_later_fields(found),
+        settings=with_later_fields(settings),
         commits=tuple(commits),
         started_from=history["started_from"],
     )
@@ -123,9 +127,16 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
     if known is None:
         return None
     if known.settings != settings:
-        found = _differences(known.settings, settings)
-        more = f", and {len(found) - SAID} more differ" if len(found) > SAID else ""
-        allowed = f"a folder of the same settings; there {', '.join(found[:SAID])}{more}"
+        differences = _differences(known.settings, settings)
+        more = (
+            f", and {len(differences) - DIFFERENCES_SHOWN} more differ"
+            if len(differences) > DIFFERENCES_SHOWN
+            else ""
+        )
+        allowed = (
+            "a folder of the same settings; there "
+            f"{', '.join(differences[:DIFFERENCES_SHOWN])}{more}"
+        )
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
 
@@ -153,8 +164,10 @@ def check_start(
     earlier = read_record(checkpoint.parent)
     if earlier is None:
         reason = "the settings of the earlier stage must be beside its checkpoint"
-        raise MissingFile(checkpoint.parent / SETTINGS, reason)
-    names = [keys[-1] for keys in SHARED if _at(settings, keys) != _at(earlier.settings, keys)]
+        raise MissingFile(checkpoint.parent / SETTINGS_FILE, reason)
+    names = [
+        keys[-1] for keys in SHARED_FIELDS if _at(settings, keys) != _at(earlier.settings, keys)
+    ]
     if names:
         allowed = f"a checkpoint of the same robot, preset, seed and networks; {', '.join(names)} "
         raise InvalidField("start", f"'{checkpoint}'", allowed + "differ")
@@ -166,9 +179,9 @@ def check_start(
 
 
 def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a training with the fields that they lack because these came later."""
+    """Fill in the fields that the settings of an older training lack."""
     filled: dict[str, Any] = json.loads(json.dumps(settings))
-    for keys, fields in LATER:
+    for keys, fields in LATER_FIELDS:
         part = _at(filled, keys)
         if isinstance(part, dict):
             part |= fields | part
@@ -176,24 +189,24 @@ def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(values: Iterable[Any]) -> str:
-    """What stands for all of some numbers and texts."""
+    """Return a digest of numbers and texts."""
     parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
     return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
 
 
 def _differences(known: Any, asked: Any, path: str = "") -> list[str]:
-    """What differs between nested settings, in words: ``td3.steps is 400000, not 20000``."""
+    """Describe the differences of nested settings: ``td3.steps is 400000, not 20000``."""
     if isinstance(known, dict) or isinstance(asked, dict):
         one, other = (x if isinstance(x, dict) else {} for x in (known, asked))
         both = ((name, f"{path}.{name}" if path else name) for name in one | other)
         parts = [_differences(one.get(name), other.get(name), where) for name, where in both]
-        return [said for part in parts for said in part]
+        return [difference for part in parts for difference in part]
     return [] if known == asked else [f"{path} is {known!r}, not {asked!r}"]
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
-    """A nested setting; None where there is none."""
-    found: Any = settings
+    """Return a nested setting; None where there is none."""
+    value: Any = settings
     for key in keys:
-        found = found.get(key) if isinstance(found, dict) else None
-    return found
+        value = value.get(key) if isinstance(value, dict) else None
+    return value

@@ -1,4 +1,4 @@
-"""What came out of several trainings: a table for each stage, and pictures."""
+"""Report of several trainings: a table for each stage, and pictures."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from carosac_toolkit.base.tables import Rows, fit, terminal_width, wrapped
 from carosac_toolkit.studies import Row
-from learned.curve import COLUMNS, CURVE
+from learned.learning_curve import CURVE_COLUMNS, CURVE_FILE
 from learned.pictures.sweep import sweep
 from learned.pictures.training import curve_of, learning_curves
-from learned.training import POLICY
-from learned.training_study import Training, TrainingStudy
+from learned.training import POLICY_FILE
+from learned.training_study import TrainingRun, TrainingStudy
 
-LABEL_SHOWN = 60  # characters of a variation
-SHOWN = (  # column, title, factor to its unit
+LABEL_WIDTH = 60  # characters of a variation
+SHOWN_COLUMNS = (  # column, title, factor to its unit
     ("median_error_m", "median [mm]", 1e3), ("median_of_means_m", "of means [mm]", 1e3),
     ("p95_error_m", "p95 [mm]", 1e3), ("inconsistency_m", "incons. [mm]", 1e3),
     ("failed_paths", "failed paths", 1.0), ("cpu_seconds", "CPU [s]", 1.0),
@@ -35,7 +35,7 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
         ``trainings``, each with its last scores by stage, and ``pictures``.
     """
     pairs = list(zip(study.trainings, rows, strict=True))
-    groups: dict[str, list[tuple[Training, Row]]] = {}
+    groups: dict[str, list[tuple[TrainingRun, Row]]] = {}
     for training, row in pairs:
         groups.setdefault(training.variation, []).append((training, row))
     pictures: list[Path] = []
@@ -56,8 +56,8 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _table(stage: str, groups: dict[str, list[tuple[Training, Row]]]) -> str:
-    """Scores of a stage: of each seed, or over the seeds of each variation."""
+def _table(stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]) -> str:
+    """Format the scores of a stage: of each seed, or over the seeds of each variation."""
     if len(groups) == 1:
         (members,) = groups.values()
         lines = [(f"seed {training.seed}", [row]) for training, row in members]
@@ -65,17 +65,19 @@ def _table(stage: str, groups: dict[str, list[tuple[Training, Row]]]) -> str:
             lines.append(("over the seeds", [row for _, row in members]))
     else:
         lines = [(name, [row for _, row in members]) for name, members in groups.items()]
-    header = (stage.replace("_", "-"), "trained", *(title for _, title, _ in SHOWN))
+    header = (stage.replace("_", "-"), "trained", *(title for _, title, _ in SHOWN_COLUMNS))
     cells: Rows = []
     for name, of_line in lines:
         good = [row for row in of_line if row["status"] == "ok"]
-        numbers = [_range(good, f"{stage}_{column}", factor) for column, _, factor in SHOWN]
+        numbers = [_range(good, f"{stage}_{column}", factor) for column, _, factor in SHOWN_COLUMNS]
         cells.append((name, f"{len(good)} of {len(of_line)}", *numbers))
-    return fit(header, cells, (1, *[1] * (len(SHOWN) + 1)), terminal_width(), shown=LABEL_SHOWN)
+    return fit(
+        header, cells, (1, *[1] * (len(SHOWN_COLUMNS) + 1)), terminal_width(), shown=LABEL_WIDTH
+    )
 
 
 def _range(rows: Sequence[Row], column: str, factor: float) -> str:
-    """Median of a column over trainings, with the smallest and the largest; - without any."""
+    """Format the median of a column over trainings, with its range; - without any."""
     values = [factor * float(row[column] or 0.0) for row in rows if row.get(column) is not None]
     if not values:
         return "-"
@@ -84,7 +86,7 @@ def _range(rows: Sequence[Row], column: str, factor: float) -> str:
 
 
 def _pictures(
-    study: TrainingStudy, stage: str, groups: dict[str, list[tuple[Training, Row]]]
+    study: TrainingStudy, stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]
 ) -> list[Path]:
     """Draw the curves of the seeds of each variation, and the variations side by side."""
     made: list[Path] = []
@@ -94,7 +96,7 @@ def _pictures(
         folders = {seed: place / stage for seed, place in places.items()}
         curves = []
         for seed, folder in folders.items():
-            curve = curve_of(folder, f"seed {seed}") if (folder / CURVE).is_file() else None
+            curve = curve_of(folder, f"seed {seed}") if (folder / CURVE_FILE).is_file() else None
             if curve is not None:
                 curves.append(curve)
                 learning_curves([curve], folder / "curve.png")
@@ -112,12 +114,12 @@ def _pictures(
     return made
 
 
-def _data(study: TrainingStudy, training: Training, row: Row) -> dict[str, Any]:
-    """One training as data."""
+def _data(study: TrainingStudy, training: TrainingRun, row: Row) -> dict[str, Any]:
+    """Return one training as data."""
     place = study.folder / training.place
     stages = {
-        stage: {"policy": place / stage / POLICY, "folder": place / stage}
-        | {name: row[f"{stage}_{name}"] for name in COLUMNS}
+        stage: {"policy": place / stage / POLICY_FILE, "folder": place / stage}
+        | {name: row[f"{stage}_{name}"] for name in CURVE_COLUMNS}
         for stage in training.stages
         if row["status"] == "ok"
     }
@@ -129,7 +131,7 @@ def _data(study: TrainingStudy, training: Training, row: Row) -> dict[str, Any]:
 
 
 def _pattern(study: TrainingStudy) -> Path:
-    """Where the policies are, with a name in capitals for what differs."""
+    """Return the place of the policies, with a name in capitals for what differs."""
     first = study.trainings[0]
     above = Path("VARIATION") if first.varied else Path()
-    return above / "seedN" / first.stages[-1] / POLICY
+    return above / "seedN" / first.stages[-1] / POLICY_FILE

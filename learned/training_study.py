@@ -21,21 +21,21 @@ from carosac_toolkit.studies.run.cluster import usable_cores
 from carosac_toolkit.studies.run.folder import free_folder
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
-from learned.changes import changed, concerned, label_of
-from learned.curve import COLUMNS, CURVE, read_curve
+from learned.learning_curve import CURVE_COLUMNS, CURVE_FILE, read_curve
 from learned.presets import Stage, find_preset
-from learned.training import CHECKPOINT, POLICY, Job, train
+from learned.setting_changes import changed, concerned, label_of
+from learned.training import CHECKPOINT_FILE, POLICY_FILE, TrainingJob, train
 
-FUNCTION = "learned.training_study:train_case"
-CPU = "cpu"  # of studies that do not say where
-NONE = "none"  # of what a case of a study has and a training has not
-TIME_LIMIT = 30 * 24 * 3600.0  # [s] of one training
-AGAIN = tuple(name for name in CASE_STATUSES if name != "ok")
-RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
+CASE_FUNCTION = "learned.training_study:train_case"
+CPU_DEVICE = "cpu"  # of studies that do not say where
+NO_PART = "none"  # of what a case of a study has and a training has not
+TIME_LIMIT_S = 30 * 24 * 3600.0  # of one training
+RETRIED_STATUSES = tuple(name for name in CASE_STATUSES if name != "ok")
+RANDOM_STEPS_SHARE_MAX = 0.2  # of shortened trainings, at most, is random
 
 
 @dataclass(frozen=True, kw_only=True)
-class Training:
+class TrainingRun:
     """Stages of a preset, trained one after the other.
 
     Attributes:
@@ -44,7 +44,7 @@ class Training:
         stages: Names of those that are trained, in the order of the preset.
         seed: Of everything random.
         steps: Environment steps of each stage; None: those of the preset.
-        fixed: What is changed in the preset, see `learned.changes.Changes`.
+        fixed: What is changed in the preset, see `learned.setting_changes.Changes`.
         varied: The same, of a sweep.
         device: Warp device of the worlds.
     """
@@ -56,7 +56,7 @@ class Training:
     steps: int | None = None
     fixed: Mapping[str, Any] = field(default_factory=dict)
     varied: Mapping[str, Any] = field(default_factory=dict)
-    device: str = CPU
+    device: str = CPU_DEVICE
 
     @property
     def name(self) -> str:
@@ -70,7 +70,7 @@ class Training:
 
     @property
     def variation(self) -> str:
-        """What is varied, in short; empty without a sweep."""
+        """Short label of what is varied; empty without a sweep."""
         return label_of(self.varied)
 
     @property
@@ -78,8 +78,8 @@ class Training:
         """Its folder in that of the study."""
         return Path(self.variation) / f"seed{self.seed}"
 
-    def jobs(self, robot: Robot, folder: Path) -> list[Job]:
-        """What is trained, stage by stage.
+    def jobs(self, robot: Robot, folder: Path) -> list[TrainingJob]:
+        """Return the jobs, stage by stage.
 
         Args:
             robot: As it was read.
@@ -94,14 +94,14 @@ class Training:
         for name, stage in self.settings().items():
             before = order[: order.index(name)]
             jobs.append(
-                Job(
+                TrainingJob(
                     robot=robot,
                     preset=self.preset,
                     changes=label_of(concerned(name, order, changes)),
                     stage_name=name,
                     stage=stage,
                     seed=self.seed,
-                    start=folder / before[-1] / CHECKPOINT if before else None,
+                    start=folder / before[-1] / CHECKPOINT_FILE if before else None,
                     start_changes=label_of(concerned(before[-1], order, changes)) if before else "",
                     device=self.device,
                 )
@@ -109,38 +109,38 @@ class Training:
         return jobs
 
     def settings(self) -> dict[str, Stage]:
-        """What each stage is trained with.
+        """Return the settings of each stage.
 
         Raises:
             InvalidField: A change or a number of steps that is not allowed.
         """
-        preset, found = find_preset(self.preset), {}
-        said = {"td3.steps", *(f"{name}.td3.steps" for name in self.stages)}
-        for path in sorted(said & {**self.fixed, **self.varied}.keys()):
+        preset, stages = find_preset(self.preset), {}
+        step_paths = {"td3.steps", *(f"{name}.td3.steps" for name in self.stages)}
+        for path in sorted(step_paths & {**self.fixed, **self.varied}.keys()):
             if self.steps is not None:
                 raise InvalidField("--steps", self.steps, f"nothing beside {path}")
         for name in self.stages:
             stage = changed(name, preset.stages[name], {**self.fixed, **self.varied})
-            found[name] = stage if self.steps is None else shortened(stage, self.steps)
-        return found
+            stages[name] = stage if self.steps is None else shortened(stage, self.steps)
+        return stages
 
     def case(self) -> Case:
-        """It as a case of a study."""
+        """Return the training as a case of a study."""
         settings = {
             "preset": self.preset, "stages": list(self.stages), "steps": self.steps,
             "fixed": dict(self.fixed), "varied": dict(self.varied),
             "robot_digest": robot_digest(self.robot),
         }  # fmt: skip
-        if self.device != CPU:
+        if self.device != CPU_DEVICE:
             settings["device"] = self.device
         return Case(
-            robot=self.robot, controller=self.name, estimator=NONE, suite=NONE, trajectory=NONE,
-            perturbation=NONE, seed=self.seed, settings=settings,
+            robot=self.robot, controller=self.name, estimator=NO_PART, suite=NO_PART,
+            trajectory=NO_PART, perturbation=NO_PART, seed=self.seed, settings=settings,
         )  # fmt: skip
 
     @classmethod
-    def of_case(cls, case: Case) -> Training:
-        """The training that a case stands for."""
+    def of_case(cls, case: Case) -> TrainingRun:
+        """Return the training that a case stands for."""
         values = {name: x for name, x in case.settings.items() if name != "robot_digest"}
         values["stages"] = tuple(values["stages"])
         return cls(robot=case.robot, seed=case.seed, **values)
@@ -155,7 +155,7 @@ class TrainingStudy:
         folder: Of the study; a second run with the same folder goes on.
     """
 
-    trainings: tuple[Training, ...]
+    trainings: tuple[TrainingRun, ...]
     folder: Path
 
     def run(
@@ -169,8 +169,8 @@ class TrainingStudy:
             progress: Whether to tell on standard error how far it is.
 
         Returns:
-            A row per training: ``STAGE_NAME`` for each name of `learned.curve.COLUMNS`, from the
-            last point of the learning curve; None for what is not finite.
+            A row per training: ``STAGE_NAME`` for each name of `CURVE_COLUMNS`,
+            from the last point of the learning curve; None for what is not finite.
 
         Raises:
             CarosacError: As `carosac_toolkit.studies.run_cases`.
@@ -179,31 +179,31 @@ class TrainingStudy:
             workers = usable_cores()
         gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
         return run_cases(
-            [training.case() for training in self.trainings], FUNCTION, folder=self.folder,
-            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT, retry=AGAIN, again=gone,
-            own_files=True, share=self.share, progress=progress,
+            [training.case() for training in self.trainings], CASE_FUNCTION, folder=self.folder,
+            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT_S, retry=RETRIED_STATUSES,
+            again=gone, own_files=True, share=self.share, progress=progress,
         )  # fmt: skip
 
-    def _has_policies(self, training: Training) -> bool:
-        """Whether all policies of a training are there; who removes one wants it trained again."""
+    def _has_policies(self, training: TrainingRun) -> bool:
+        """Return whether all policies of a training exist; a removed one is trained again."""
         place = self.folder / training.place
-        return all((place / stage / POLICY).is_file() for stage in training.stages)
+        return all((place / stage / POLICY_FILE).is_file() for stage in training.stages)
 
     def share(self) -> float:
-        """How much of all environment steps is done, 0 to 1."""
+        """Return the share of all environment steps that is done, 0 to 1."""
         done, whole = 0.0, 0
         for training in self.trainings:
             for name, stage in training.settings().items():
                 steps = stage.td3.steps
-                curve = self.folder / training.place / name / CURVE
+                curve = self.folder / training.place / name / CURVE_FILE
                 rows = read_curve(curve) if curve.is_file() else []
                 done += min(rows[-1]["steps"], steps) if rows else 0
                 whole += steps
         return done / whole
 
 
-def free_study(base: Path, trainings: Sequence[Training]) -> TrainingStudy:
-    """A study in `base`, or in ``base-2``, ``base-3`` and so on where others are there already."""
+def free_study(base: Path, trainings: Sequence[TrainingRun]) -> TrainingStudy:
+    """Make a study in `base`, or in ``base-2``, ``base-3`` and so on where that is taken."""
     folder = free_folder(base, [training.case() for training in trainings])
     return TrainingStudy(trainings=tuple(trainings), folder=folder)
 
@@ -212,31 +212,31 @@ def train_case(case: Case, folder: Path) -> dict[str, Any]:
     """Train what a case stands for, or go on with it.
 
     Args:
-        case: Of a `Training`.
+        case: Of a `TrainingRun`.
         folder: Of the study.
 
     Returns:
         The row of `TrainingStudy.run`.
     """
-    training = Training.of_case(case)
+    training = TrainingRun.of_case(case)
     place = folder / training.place
     row: dict[str, Any] = {}
     for job in training.jobs(robot_of(case.robot, digest_of(case)), place):
         train(job, place / job.stage_name)
-        last = read_curve(place / job.stage_name / CURVE)[-1]
-        found = {name: x if np.isfinite(x) else None for name, x in last.items()}
-        row |= {f"{job.stage_name}_{name}": found[name] for name in COLUMNS}
+        last = read_curve(place / job.stage_name / CURVE_FILE)[-1]
+        values = {name: x if np.isfinite(x) else None for name, x in last.items()}
+        row |= {f"{job.stage_name}_{name}": values[name] for name in CURVE_COLUMNS}
     return row
 
 
 def shortened(stage: Stage, steps: int) -> Stage:
-    """A stage of other length; its random steps are at most a fifth of it.
+    """Return a stage of other length; its random steps are at most a fifth of it.
 
     Raises:
         InvalidField: No whole number of steps, or none.
     """
     check_whole("--steps", steps, 1)
-    random = min(stage.td3.random_steps, int(RANDOM_SHARE * steps))
+    random = min(stage.td3.random_steps, int(RANDOM_STEPS_SHARE_MAX * steps))
     return replace(stage, td3=replace(stage.td3, steps=steps, random_steps=random))
 
 

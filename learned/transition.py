@@ -1,4 +1,4 @@
-"""What one step of a batch of environments did: all that rewards and scores look at."""
+"""One step of a batch of environments: all quantities that rewards and scores depend on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Transition:
         asked: Lengths that the action asks for [m], shape (B, n).
         inconsistency: What each length lacks to the one that inverse kinematics of the same model
             gives at `position` [m], shape (B, n); zero where the lengths agree with each other,
-            NaN where a platform moves and nobody can say.
+            NaN, unknown, for a platform in motion.
         tension: At the platform [N], shape (B, n); None where no forces are known.
         velocity: Of the platform origin less that of its target [m/s], shape (B, 3); zero where
             set-points settle.
@@ -54,8 +54,7 @@ class Transition:
     @property
     def distance(self) -> Array:
         """From the target, after the step [m], shape (B,)."""
-        found: Array = np.linalg.norm(self.position - self.target, axis=1)
-        return found
+        return np.asarray(np.linalg.norm(self.position - self.target, axis=1))
 
     @property
     def straight_position(self) -> Array:

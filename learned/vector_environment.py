@@ -27,7 +27,7 @@ class CableVecEnv(VecEnv):
         super().__init__(environment.size, *spaces_of(environment))
 
     def reset(self) -> Any:
-        """First observations, shape (B, d)."""
+        """Return the first observations, shape (B, d)."""
         self._total[:] = 0.0
         self._length[:] = 0
         return self.environment.reset().astype(np.float32)
@@ -38,31 +38,31 @@ class CableVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Act on them."""
-        found = self.environment.step(self._action)
-        self._total += found.reward
+        result = self.environment.step(self._action)
+        self._total += result.reward
         self._length += 1
-        done = found.truncated
-        misfit = lengths_misfit(found.transition, self.environment.settings.reward)
+        done = result.truncated
+        misfit = lengths_misfit(result.transition, self.environment.settings.reward)
         infos: list[dict[str, Any]] = [
             {"position": position, "lengths_misfit": value, "failed": bool(failed)}
             for position, value, failed in zip(
-                found.transition.position, misfit, found.failed, strict=True
+                result.transition.position, misfit, result.failed, strict=True
             )
         ]
-        final = found.final_observation.astype(np.float32)
+        final = result.final_observation.astype(np.float32)
         for row in np.flatnonzero(done):
             infos[row] |= {
                 "terminal_observation": final[row],
-                "TimeLimit.truncated": bool(found.truncated[row]),
+                "TimeLimit.truncated": bool(result.truncated[row]),
                 "episode": {"r": float(self._total[row]), "l": int(self._length[row])},
             }
         self._total[done] = 0.0
         self._length[done] = 0
-        reward = found.reward.astype(np.float32)
-        return found.observation.astype(np.float32), reward, done, infos
+        reward = result.reward.astype(np.float32)
+        return result.observation.astype(np.float32), reward, done, infos
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes."""
+        """Return everything that changes."""
         return {
             "environment": self.environment.state(),
             "total": self._total.copy(),
@@ -76,24 +76,24 @@ class CableVecEnv(VecEnv):
         self._length = state["length"].copy()
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute, once for each environment."""
+        """Return an attribute, once for each environment."""
         return [getattr(self.environment, attr_name, None)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: all environments are one."""
+        """Refuse: all environments are one."""
         raise NotImplementedError("environments of a batch have no attributes of their own")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refused: all environments are one."""
+        """Refuse: all environments are one."""
         raise NotImplementedError("environments of a batch have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """None is."""
+        """Return False for each environment."""
         return [False] * self._count(indices)
 
     def _count(self, indices: Any) -> int:
@@ -101,6 +101,6 @@ class CableVecEnv(VecEnv):
 
 
 def spaces_of(environment: CableEnvironment) -> tuple[spaces.Box, spaces.Box]:
-    """Spaces of observations and actions."""
+    """Return the spaces of observations and actions."""
     observed = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
     return observed, spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)

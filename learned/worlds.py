@@ -1,4 +1,4 @@
-"""Where actions act on: worlds without sag, and worlds in which each set-point settles.
+"""Worlds in which actions act: without sag, and with each set-point settling.
 
 A third kind moves in real time: `learned.moving_worlds`.
 """
@@ -21,8 +21,8 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reached:
-    """Where B platforms are.
+class WorldStates:
+    """State of B platforms.
 
     Attributes:
         position: Platform origin in W [m], shape (B, 3).
@@ -45,22 +45,22 @@ class Reached:
     belief: Belief | None = None
 
 
-class Worlds(Protocol):
+class TrainingWorlds(Protocol):
     """B worlds that advance together."""
 
     robot: Robot
     size: int
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at rest at positions (K, 3); where all worlds are then."""
         ...
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Ask the winches for lengths [m], shape (B, n); where the platforms get by that."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes."""
+        """Return everything that changes."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -82,7 +82,7 @@ class NoSagWorlds:
         home = np.tile(robot.home_position, (size, 1))
         self._now = self._at(home, straight_line.inverse_kinematics(robot, home))
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at positions, with the lengths of these."""
         where, length = self._now.position.copy(), self._now.length.copy()
         where[rows] = position
@@ -90,7 +90,7 @@ class NoSagWorlds:
         self._now = self._at(where, length)
         return self._now
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Fit the positions; each starts at home, on the side where the robot works."""
         fit = straight_line.forward_kinematics(self.robot, length, device=self._device)
         where = np.where(fit.converged[:, None], fit.position, self._now.position)
@@ -98,22 +98,22 @@ class NoSagWorlds:
         return self._now
 
     def state(self) -> dict[str, Any]:
-        """Positions and lengths."""
+        """Return positions and lengths."""
         return {"position": self._now.position, "length": self._now.length}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from them."""
         self._now = self._at(state["position"], state["length"])
 
-    def _at(self, position: Array, length: Array) -> Reached:
-        """There, with what the lengths lack."""
-        found = straight_line.straight_length(self.robot, position, device=self._device)
-        return Reached(
+    def _at(self, position: Array, length: Array) -> WorldStates:
+        """Return the state there, with the inconsistency of the lengths."""
+        straight = straight_line.straight_length(self.robot, position, device=self._device)
+        return WorldStates(
             position=position,
             rotation=np.broadcast_to(self.robot.home_rotation, (self.size, 3, 3)),
             twist=np.zeros((self.size, 6)),
             length=length,
-            inconsistency=length - found.length,
+            inconsistency=length - straight.length,
             tension=None,
             failed=np.zeros(self.size, dtype=bool),
         )
@@ -138,7 +138,7 @@ class SettledWorlds:
         self._rest = rest
         self._inconsistency = np.zeros((size, robot.n))
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at rest at positions; they must be feasible."""
         rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         sound = rest.converged & rest.stable
@@ -149,20 +149,20 @@ class SettledWorlds:
         self._inconsistency[rows] = 0.0
         return self._reached(np.zeros(self.size, dtype=bool))
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Settle on the lengths; the way there leads downhill in energy from home."""
         device = self._device
-        found = statics.forward_kinematics(self.robot, length, device=device)
-        consistent = statics.inverse_kinematics(self.robot, found.position, device=device)
-        good = found.converged & found.stable & consistent.converged
+        settled = statics.forward_kinematics(self.robot, length, device=device)
+        consistent = statics.inverse_kinematics(self.robot, settled.position, device=device)
+        good = settled.converged & settled.stable & consistent.converged
         rows = np.flatnonzero(good)
-        self._merge(rows, found, rows)
-        lack = found.unstrained_length - consistent.unstrained_length
+        self._merge(rows, settled, rows)
+        lack = settled.unstrained_length - consistent.unstrained_length
         self._inconsistency[rows] = lack[rows]
         return self._reached(~good)
 
     def state(self) -> dict[str, Any]:
-        """The equilibria."""
+        """Return the equilibria."""
         return {"rest": self._rest, "inconsistency": self._inconsistency.copy()}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -175,14 +175,14 @@ class SettledWorlds:
         merged = {}
         for name in Equilibrium.__dataclass_fields__:
             values = np.array(getattr(self._rest, name))
-            given = getattr(new, name)
-            values[rows] = given if of is None else given[of]
+            source = getattr(new, name)
+            values[rows] = source if of is None else source[of]
             merged[name] = values
         self._rest = Equilibrium(**merged)
 
-    def _reached(self, failed: NDArray[np.bool_]) -> Reached:
-        """The equilibria, as all worlds show themselves."""
-        return Reached(
+    def _reached(self, failed: NDArray[np.bool_]) -> WorldStates:
+        """Return the equilibria, as all worlds report themselves."""
+        return WorldStates(
             position=self._rest.position,
             rotation=self._rest.rotation,
             twist=np.zeros((self.size, 6)),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from baselines.kinematic_solver import KinematicSolver
-from baselines.reference_ahead import AheadSettings
+from baselines.lookahead import LookaheadSettings
 from baselines.straight_line import StraightLine
 from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
@@ -70,7 +70,7 @@ class OtherClock(Control):
 
 
 class Integrates(Control):
-    settings = AheadSettings(gain=1.0)
+    settings = LookaheadSettings(gain=1.0)
 
     def reset(self, belief):
         pass

@@ -14,7 +14,7 @@ from unittest.mock import patch
 import matplotlib
 import matplotlib.pyplot as plt
 
-from learned.rewards import TERMS
+from learned.rewards import REWARD_TERMS
 
 
 def run_here(program: Path, folder: Path) -> None:
@@ -22,7 +22,7 @@ def run_here(program: Path, folder: Path) -> None:
     with ExitStack() as stack:
         stack.enter_context(chdir(folder))
         stack.enter_context(matplotlib.rc_context())
-        stack.enter_context(patch.dict(TERMS))  # a program may add its own
+        stack.enter_context(patch.dict(REWARD_TERMS))  # a program may add its own
         stack.enter_context(patch("sys.argv", [str(program)]))
         stack.enter_context(patch("sys.path", [str(program.parent), *sys.path]))
         stack.callback(plt.close, "all")

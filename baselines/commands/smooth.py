@@ -1,12 +1,12 @@
 """Smooth a recording: the best estimate of pose and twist, afterwards.
 
-The platform's dynamics go through the whole recording, driven by its lengths; what was measured
-later counts as well as what was measured before. Inertial samples are used where there are any.
-Measured poses are withheld, and the estimate is scored on them, unless --poses says otherwise.
-Writes a recording with the smoothed poses, a table with all that was found, and two pictures.
+The platform's dynamics are driven by the recorded lengths; measurements count both before and after
+their time. Inertial samples are used where there are any. Measured poses are withheld, and the
+estimate is scored on them, unless --poses says otherwise. Writes a recording with the smoothed
+poses, a table with all estimates, and two pictures.
 
-Exit status 1 means that the passes did not settle (the estimate is the last one), or that the robot
-does not belong to the recording.
+Exit status 1 means that the passes did not converge (the estimate is the last one), or that the
+robot does not belong to the recording.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Annotated, Literal
 import tyro
 
 from baselines.smoother import Smoothed, SmootherSettings, smooth
-from baselines.smoother.output import FILES, recording_of, write
+from baselines.smoother.output import REPORT_FILES, recording_of, write
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable
@@ -34,9 +34,9 @@ from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots
 
-SUFFIXES = (".parquet", ".csv")
-RECORDING = "smoothed.parquet"
-KNOWN = (  # as options
+RECORDING_SUFFIXES = (".parquet", ".csv")
+SMOOTHED_FILE = "smoothed.parquet"
+DYNAMICS_OPTIONS = (  # as options
     "mass", "center_of_mass", "length_bias", "length_bias_walk", "delay", "wind_force",
 )  # fmt: skip
 
@@ -51,30 +51,30 @@ class Options(CommonOptions):
     """A bundled robot or a YAML file, best one that was calibrated; by default the one that the
     recording names, or else the bundled one with the exit points measured in it."""
     poses: Literal["withheld", "half", "used"] = "withheld"
-    """Measured poses: all withheld, to score with; every second one used, the others to score
-    with, each at its own time; all used."""
+    """Use of the measured poses: `withheld` scores the estimate on all of them, `half` uses every
+    second one and scores on the others, each at its own time, `used` uses all."""
     imu: bool = True
     """Use inertial samples, where the recording has them."""
     lag: float | None = None
-    """Use only what was measured up to so many seconds later; by default the whole recording."""
+    """Use only measurements up to so many seconds later; by default the whole recording."""
     start: int = 0
-    """First sample to score; the estimate still rests on all."""
+    """First sample to score; the estimate still uses all."""
     stop: int | None = None
     """One past the last sample to score; by default all are scored."""
     mass: float | None = None
-    """One sigma of the mass, over the mass; by default this and the next are those of the
-    condition nominal-1, which is far too much for a robot that was identified."""
+    """Standard deviation of the mass, relative to the mass. By default this and the next options
+    are those of the condition nominal-1, which are far too wide for an identified robot."""
     center_of_mass: float | None = None
-    """One sigma of the centre of mass, per axis [m]."""
+    """Standard deviation of the centre of mass, per axis [m]."""
     length_bias: float | None = None
-    """One sigma of what the readings of a cable say too much at the start [m]."""
+    """Standard deviation of the error of a cable's length readings at the start [m]."""
     length_bias_walk: float | None = None
-    """One sigma of its change in a second [m]."""
+    """Standard deviation of the change of that error in a second [m]."""
     delay: float | None = None
-    """By how much lengths lead poses and inertial samples [s]; by default what the robot says, or
-    else it is found."""
+    """Time by which lengths lead poses and inertial samples [s]; by default that of the robot file;
+    without one it is estimated."""
     wind_force: float | None = None
-    """One sigma of the wind, or of what else pushes the platform, per horizontal axis [N]."""
+    """Standard deviation of the wind, or of any other unknown push, per horizontal axis [N]."""
     output: OutputFile = None
     """Write the smoothed recording to this .parquet or .csv file; never over the old one. By
     default it goes beside the pictures."""
@@ -87,43 +87,43 @@ def run(options: Options) -> CommandResult:
     """Smooth one recording."""
     settings = _settings(options)
     path = find_recording(options.recording)
-    check_writable("--output", options.output, SUFFIXES)
+    check_writable("--output", options.output, RECORDING_SUFFIXES)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    folder = options.report or _default_folder(path, found, options.poses)
+    origin = find_robot(recording, path, options.robot)
+    folder = options.report or _default_folder(path, origin, options.poses)
     check_folder("--report", folder)
-    output = options.output or folder / RECORDING
-    _check_targets(options, folder, {"RECORDING": path, "--robot": Path(found.name)})
+    output = options.output or folder / SMOOTHED_FILE
+    _check_targets(options, folder, {"RECORDING": path, "--robot": Path(origin.name)})
     result = smooth(
-        recording, found.robot, settings,
+        recording, origin.robot, settings,
         start=options.start, stop=options.stop, report=_progress,
     )  # fmt: skip
     print()
-    for line in [*_head(options, found, result), *sentences(result)]:
+    for line in [*_head(options, origin, result), *sentences(result)]:
         print(wrapped(line, terminal_width(), "* "))
     source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
-    named = _named(found, output.parent)
-    smoothed = recording_of(result, recording, found.robot, source, named)
-    files = write(folder, result, found.robot.name)
+    named = _named(origin, output.parent)
+    smoothed = recording_of(result, recording, origin.robot, source, named)
+    files = write(folder, result, origin.robot.name)
     smoothed.save(output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
     sys.stdout.flush()
     for line in warnings(result):
         print(f"carosac: warning: {line}", file=sys.stderr)
-    data = {"recording": options.recording, "robot": found.name, "robot_source": found.source}
+    data = {"recording": options.recording, "robot": origin.name, "robot_source": origin.source}
     return CommandResult(
         data | result.data() | {"output": output},
         status=0 if result.converged and not result.misfits else 1,
     )
 
 
-def _named(found: FoundRobot, folder: Path) -> str | None:
-    """By which name or path a recording in a folder finds its robot; None for a guess."""
-    if found.source == "exit points":
+def _named(origin: FoundRobot, folder: Path) -> str | None:
+    """Return the name or path by which a recording in a folder finds its robot, or None."""
+    if origin.source == "exit points":
         return None
-    if found.name in list_robots():
-        return found.name
-    return Path(os.path.relpath(Path(found.name).resolve(), folder.resolve())).as_posix()
+    if origin.name in list_robots():
+        return origin.name
+    return Path(os.path.relpath(Path(origin.name).resolve(), folder.resolve())).as_posix()
 
 
 def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> None:
@@ -137,10 +137,10 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
     Raises:
         InvalidField: A target is an input or another target, maybe through a link.
     """
-    in_folder = [*FILES, *([RECORDING] if options.output is None else [])]
+    in_folder = [*REPORT_FILES, *([SMOOTHED_FILE] if options.output is None else [])]
     targets = [("--report", folder / name) for name in in_folder]
-    given = (("--output", options.output), ("--json", options.json))
-    targets += [(option, path) for option, path in given if path is not None]
+    options_with_paths = (("--output", options.output), ("--json", options.json))
+    targets += [(option, path) for option, path in options_with_paths if path is not None]
     for k, (option, target) in enumerate(targets):
         for other, path in inputs.items():
             if path.exists() and same_file(target, path):
@@ -153,9 +153,9 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
 
 
 def _settings(options: Options) -> SmootherSettings:
-    """Defaults, and what was asked for."""
+    """Return the default settings with the changes that were asked for."""
     usual = SmootherSettings()
-    asked = {name: getattr(options, name) for name in KNOWN}
+    asked = {name: getattr(options, name) for name in DYNAMICS_OPTIONS}
     dynamics = replace(
         usual.dynamics, **{name: value for name, value in asked.items() if value is not None}
     )
@@ -163,24 +163,24 @@ def _settings(options: Options) -> SmootherSettings:
 
 
 def _progress(passes: int, change: float) -> None:
-    """Say how far it is."""
+    """Print the largest change of a pass."""
     if passes == 1:
         print("largest change of a position after each pass:")
     print(f"  {passes:2d}: {change * 1e3:8.2f} mm", flush=True)
 
 
-def _head(options: Options, found: FoundRobot, result: Smoothed) -> list[str]:
-    """What was smoothed."""
+def _head(options: Options, origin: FoundRobot, result: Smoothed) -> list[str]:
+    """Return lines that name the recording and its robot."""
     recording = result.recording
-    guess = " (a guess from the exit points)" if found.source == "exit points" else ""
+    guess = " (a guess from the exit points)" if origin.source == "exit points" else ""
     return [
         f"{options.recording}: {len(recording.time)} samples, {recording.duration:.1f} s; "
-        f"robot {found.robot.name}{guess}"
+        f"robot {origin.robot.name}{guess}"
     ]
 
 
-def _default_folder(path: Path, found: FoundRobot, poses: str) -> Path:
-    """Where files go that were not sent anywhere."""
-    parts = [path.stem, found.robot.name, *([] if poses == "withheld" else [poses])]
+def _default_folder(path: Path, origin: FoundRobot, poses: str) -> Path:
+    """Return the folder for output that was not sent anywhere."""
+    parts = [path.stem, origin.robot.name, *([] if poses == "withheld" else [poses])]
     name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
     return Path("carosac-results") / "smooth" / name

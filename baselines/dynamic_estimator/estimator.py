@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.center_of_mass import learned_center_of_mass
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
-from baselines.dynamic_estimator.track import Track, Tracker
-from baselines.found_center import found_center
+from baselines.dynamic_estimator.tracker import Track, Tracker
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.consistency import Innovations
@@ -109,7 +109,7 @@ def _belief(
     updates: int,
     settings: DynamicEstimatorSettings,
 ) -> Belief:
-    """What the filters believe; where one stands nowhere, what was believed before."""
+    """Return the belief of the filters; where one is lost, keep what was believed before."""
     now = [track.now for track in tracks]
     good = np.array([state is not None for state in now])
     record = DynamicRecord(
@@ -151,17 +151,17 @@ def _belief(
     )
 
 
-def _centers(states: list[FilterState], prior: float) -> Array | None:
-    """Centres of mass, where all have been found."""
-    found = []
+def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
+    """Return the centres of mass if all have been learned, else None."""
+    centers = []
     for state in states:
         where = state.errors.center
-        found.append(found_center(state.center, state.covariance[where, where], prior))
-    return None if any(center is None for center in found) else np.array(found)
+        centers.append(learned_center_of_mass(state.center, state.covariance[where, where], prior))
+    return None if any(center is None for center in centers) else np.array(centers)
 
 
-def _kept(now: list[FilterState | None], name: str, before: Array) -> Array:
-    """A field of the states that there are, and what was believed before of the others."""
+def _kept(now: list[DynamicFilterState | None], name: str, before: Array) -> Array:
+    """Return a field of the states that exist, and its earlier belief for the others."""
     return np.stack([
         before[row] if state is None else getattr(state, name) for row, state in enumerate(now)
     ])  # fmt: skip

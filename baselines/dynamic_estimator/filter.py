@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Felt, Sensors
-from baselines.dynamic_estimator.model import Model, NoMotion
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
+from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
 from carosac_toolkit.base.arrays import Array
 
-SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
+LATE_POSE_ACCELERATIONS = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tally:
-    """What measurements said against the estimate.
+class InnovationTally:
+    """Sums of the innovations of several measurements.
 
     Attributes:
         squares: Sum of normalised innovations squared, of measurements within the gate.
@@ -29,28 +29,28 @@ class Tally:
     dof: int = 0
     disturbed: int = 0
 
-    def __add__(self, other: Tally) -> Tally:
-        """Both together."""
-        return Tally(
+    def __add__(self, other: InnovationTally) -> InnovationTally:
+        """Add two tallies."""
+        return InnovationTally(
             squares=self.squares + other.squares,
             dof=self.dof + other.dof,
             disturbed=self.disturbed + other.disturbed,
         )
 
 
-class Filter:
+class DynamicFilter:
     """Steps of the filter for one robot."""
 
-    def __init__(self, model: Model, settings: DynamicEstimatorSettings) -> None:
+    def __init__(self, model: DynamicModel, settings: DynamicEstimatorSettings) -> None:
         """Take the dynamics and how wrong everything may be."""
         self._model = model
         self._settings = settings
-        self._sensors = Sensors(model, settings)
+        self._sensors = MeasurementModels(model, settings)
 
     def step(
-        self, state: FilterState, reading: Array, end: Array, duration: float,
-        felt: Felt | None = None,
-    ) -> tuple[FilterState, Tally]:  # fmt: skip
+        self, state: DynamicFilterState, reading: Array, end: Array, duration: float,
+        felt: ImuMean | None = None,
+    ) -> tuple[DynamicFilterState, InnovationTally]:  # fmt: skip
         """Predict, and correct by what the IMU felt at the end.
 
         Args:
@@ -72,18 +72,18 @@ class Filter:
             covariance=0.5 * (matrix + matrix.T),
         )
         if felt is None:
-            return arrived, Tally()
-        said = self._sensors.felt(move, felt)
+            return arrived, InnovationTally()
+        measurement = self._sensors.felt(move, felt)
         return self._corrected(
             arrived,
-            carry @ state.covariance @ said.by.T,
-            said.by @ state.covariance @ said.by.T + said.noise,
-            said.residual,
+            carry @ state.covariance @ measurement.by.T,
+            measurement.by @ state.covariance @ measurement.by.T + measurement.noise,
+            measurement.residual,
         )
 
     def pose(
-        self, state: FilterState, position: Array, rotation: Array, late: float = 0.0
-    ) -> tuple[FilterState, Tally]:
+        self, state: DynamicFilterState, position: Array, rotation: Array, late: float = 0.0
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a measured pose.
 
         Args:
@@ -97,14 +97,14 @@ class Filter:
 
         position = position + late * state.twist[:3]
         rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
-        swept = 0.5 * late**2 * np.repeat(SWEPT, 3)
-        said = self._sensors.pose(state, position, rotation)
-        cross = state.covariance @ said.by.T
-        own = said.by @ cross + said.noise + np.diag(swept**2)
-        return self._corrected(state, cross, own, said.residual)
+        swept = 0.5 * late**2 * np.repeat(LATE_POSE_ACCELERATIONS, 3)
+        measurement = self._sensors.pose(state, position, rotation)
+        cross = state.covariance @ measurement.by.T
+        own = measurement.by @ cross + measurement.noise + np.diag(swept**2)
+        return self._corrected(state, cross, own, measurement.residual)
 
     def _noise(self, duration: float, keep: float) -> Array:
-        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
+        """Return the covariance that a step adds; a share `keep` of the wind remains."""
         where, s = self._model.errors, self._settings
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
@@ -113,9 +113,9 @@ class Filter:
         return np.diag(spread)
 
     def _corrected(
-        self, state: FilterState, cross: Array, total: Array, innovation: Array
-    ) -> tuple[FilterState, Tally]:
-        """The state after a measurement.
+        self, state: DynamicFilterState, cross: Array, total: Array, innovation: Array
+    ) -> tuple[DynamicFilterState, InnovationTally]:
+        """Correct a state by a measurement.
 
         Args:
             state: Before it.
@@ -135,7 +135,7 @@ class Filter:
         error = gain @ innovation
         if not np.isfinite(error).all():
             raise NoMotion(f"the estimate is lost after {state.time:.3f} s")
-        found = state.corrected(error, left)
+        corrected = state.corrected(error, left)
         if square > allowed:
-            return found, Tally(disturbed=1)
-        return found, Tally(squares=square, dof=len(innovation))
+            return corrected, InnovationTally(disturbed=1)
+        return corrected, InnovationTally(squares=square, dof=len(innovation))

@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import Errors, FilterState
-from baselines.dynamic_estimator.sway import sway_at
+from baselines.dynamic_estimator.sway_basis import sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-4  # [m] and [m/s] of the centre of mass, for differences
-WIND_STEP = 1e-2  # [N]
-MASS_STEP = 1e-4
-LENGTH_STEP = 1e-5  # [m], also of the centre of mass in P
+DIFFERENCE_STEP_M = 1e-4  # of the centre of mass, and its speed [m/s]
+WIND_STEP_N = 1e-2
+LOG_MASS_STEP = 1e-4
+LENGTH_STEP_M = 1e-5  # also of the centre of mass in P
 
 
 class NoMotion(CarosacError):
@@ -25,7 +25,7 @@ class NoMotion(CarosacError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Transition:
+class LinearisedStep:
     """A step of the estimate, to first order in the errors at its start, k of which move it.
 
     Attributes:
@@ -38,7 +38,7 @@ class Transition:
         stretched: What it would read more per rate at which a cable gets shorter, shape (6, n).
     """
 
-    state: FilterState
+    state: DynamicFilterState
     sway: Array
     felt: Array
     felt_by: Array
@@ -46,7 +46,7 @@ class Transition:
     stretched: Array
 
 
-class Model:
+class DynamicModel:
     """The dynamics of one robot, for one estimate and its neighbours.
 
     The stretch of the cables is damped more than it is in truth: its vibrations are not of
@@ -60,9 +60,9 @@ class Model:
         self.robot = robot
         self.errors = Errors(robot.n)
         where = self.errors
-        steps = np.full(where.moving, STEP * np.sqrt(robot.mass))
-        steps[where.wind], steps[where.mass] = WIND_STEP, MASS_STEP
-        steps[where.center] = steps[where.bias] = LENGTH_STEP
+        steps = np.full(where.moving, DIFFERENCE_STEP_M * np.sqrt(robot.mass))
+        steps[where.wind], steps[where.mass] = WIND_STEP_N, LOG_MASS_STEP
+        steps[where.center] = steps[where.bias] = LENGTH_STEP_M
         self._steps = steps
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(
@@ -71,7 +71,9 @@ class Model:
         self._lever = np.array(settings.imu_position)
         self._mount = pinocchio.exp3(np.array(settings.imu_rotation))
 
-    def step(self, state: FilterState, reading: Array, end: Array, duration: float) -> Transition:
+    def step(
+        self, state: DynamicFilterState, reading: Array, end: Array, duration: float
+    ) -> LinearisedStep:
         """Move the estimate and its neighbours while the readings go straight to others.
 
         Args:
@@ -86,19 +88,19 @@ class Model:
         where, steps = self.errors, self._steps[:, None]
         start, mass, center, bias = self._neighbours(state)
         self._propagation.load(mass, center)
-        found = self._propagation.run(start, reading - bias, end - bias, duration)
-        if found.failed.any():
+        ends = self._propagation.run(start, reading - bias, end - bias, duration)
+        if ends.failed.any():
             raise NoMotion(f"no finite motion after {state.time:.3f} s")
         pose = np.hstack([
-            found.position[1:] - found.position[0],
-            _small_turns(found.rotation[1:] @ found.rotation[0].T),
+            ends.position[1:] - ends.position[0],
+            _small_turns(ends.rotation[1:] @ ends.rotation[0].T),
         ])  # fmt: skip
-        arrived = self._arrived(state, found, end - bias[0], duration)
+        arrived = self._arrived(state, ends, end - bias[0], duration)
         pose[where.bias] -= steps[where.bias] * arrived.sway.slaved.T
-        moved = np.hstack([pose, found.twist[1:] - found.twist[0]]) / steps
+        moved = np.hstack([pose, ends.twist[1:] - ends.twist[0]]) / steps
         out = arrived.sway.momentum
-        felt = self._felt(found)
-        return Transition(
+        felt = self._felt(ends)
+        return LinearisedStep(
             state=arrived,
             sway=np.vstack([out @ moved[:, :6].T, out @ moved[:, 6:].T]),
             felt=felt[0],
@@ -107,8 +109,8 @@ class Model:
             stretched=self._stretched(arrived),
         )
 
-    def _neighbours(self, state: FilterState) -> tuple[Motions, Array, Array, Array]:
-        """The estimate, then one with each error: motions, masses, centres and length biases."""
+    def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
+        """Return the estimate and one neighbour per error: motions, masses, centres and biases."""
         where = self.errors
         size = 1 + where.moving
         change = np.zeros((size, where.moving))
@@ -127,34 +129,34 @@ class Model:
         return start, mass, state.center + change[:, where.center], bias
 
     def _arrived(
-        self, state: FilterState, found: Arrived, length: Array, duration: float
-    ) -> FilterState:
-        """The estimate moved on."""
+        self, state: DynamicFilterState, ends: Arrived, length: Array, duration: float
+    ) -> DynamicFilterState:
+        """Return the estimate at the end of the step."""
         return replace(
             state,
             time=state.time + duration,
-            position=found.position[0],
-            rotation=found.rotation[0],
-            twist=found.twist[0],
-            tension=found.tension[0],
-            exit_tension=_first(found.exit_tension),
-            sway=sway_at(self.robot, found.position[0], found.rotation[0], length),
+            position=ends.position[0],
+            rotation=ends.rotation[0],
+            twist=ends.twist[0],
+            tension=ends.tension[0],
+            exit_tension=np.asarray(ends.exit_tension)[0],
+            sway=sway_at(self.robot, ends.position[0], ends.rotation[0], length),
         )
 
-    def _felt(self, found: Arrived) -> Array:
-        """What an IMU without bias would read, shape (B, 6)."""
-        omega, alpha = found.twist[:, 3:], found.acceleration[:, 3:]
-        arm = found.rotation @ self._lever
-        force = found.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
+    def _felt(self, ends: Arrived) -> Array:
+        """Return the readings of an IMU without bias, shape (B, 6)."""
+        omega, alpha = ends.twist[:, 3:], ends.acceleration[:, 3:]
+        arm = ends.rotation @ self._lever
+        force = ends.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
         if self._lever.any():
             force = force + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
-        axes = found.rotation @ self._mount  # of the IMU in W
+        axes = ends.rotation @ self._mount  # of the IMU in W
         return np.hstack([
             np.einsum("bji,bj->bi", axes, omega), np.einsum("bji,bj->bi", axes, force)
         ])  # fmt: skip
 
-    def _pulled(self, state: FilterState) -> Array:
-        """What an IMU reads more per tension, shape (6, n)."""
+    def _pulled(self, state: DynamicFilterState) -> Array:
+        """Return the change of the IMU readings per tension, shape (6, n)."""
         pulls = state.sway.pulls
         arm = state.rotation @ self._lever
         force = pulls[:3]
@@ -162,20 +164,14 @@ class Model:
             force = force + np.cross(pulls[3:], arm, axisa=0, axisc=0)
         return np.vstack([np.zeros_like(force), (state.rotation @ self._mount).T @ force])
 
-    def _stretched(self, state: FilterState) -> Array:
-        """What an IMU reads more per rate of stretch, shape (6, n)."""
+    def _stretched(self, state: DynamicFilterState) -> Array:
+        """Return the change of the IMU readings per rate of stretch, shape (6, n)."""
         turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
 
 
-def _first(exit_tension: Array | None) -> Array:
-    """That of the estimate itself."""
-    assert exit_tension is not None
-    return np.asarray(exit_tension[0])
-
-
 def _small_turns(rotation: Array) -> Array:
-    """Rotation vectors of tiny rotations (B, 3, 3) [rad], shape (B, 3)."""
+    """Return the rotation vectors of tiny rotations (B, 3, 3) [rad], shape (B, 3)."""
     return 0.5 * np.stack(
         [
             rotation[:, 2, 1] - rotation[:, 1, 2],
@@ -187,7 +183,7 @@ def _small_turns(rotation: Array) -> Array:
 
 
 def _turns(vectors: Array) -> Array:
-    """Rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
+    """Return the rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())

@@ -1,4 +1,4 @@
-"""What the dynamic estimator takes for granted: how wrong everything may be."""
+"""Settings of the dynamic estimator: the uncertainty of everything it assumes."""
 
 from __future__ import annotations
 
@@ -27,15 +27,11 @@ class DynamicEstimatorSettings:
         stretch_noise: Of the lengths between readings and platform: noise of the readings, and
             vibrations of the stretch, which the model does not follow [m].
         rate_noise: Of the rates of these lengths, in the twist of the belief [m/s].
-        stretch_rate: Of the same rates, where an IMU feels them: how little the gyroscope says of
-            the stretch [m/s].
         wind_force: Force of the wind on the platform per horizontal axis, and of all else that
             pushes it and that the model does not know: three times the wind alone, so that sway
             that such a push begins is seen soon [N].
         wind_time: Its correlation time [s].
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
-        restart_speed: The same where the platform is hung anew on the way, after a failure or a
-            gap: it need not rest there [m/s].
         acceleration_noise: Density of accelerations that the model does not know, along the ways
             to sway [m/s^2/sqrt(Hz)].
         stretch_damping: Time constant by which the stretch of the cables is damped in the model,
@@ -70,11 +66,9 @@ class DynamicEstimatorSettings:
     length_bias_walk: float = 1e-3
     stretch_noise: float = 0.6e-3
     rate_noise: float = 0.02
-    stretch_rate: float = 0.06
     wind_force: float = 3.0
     wind_time: float = 2.0
     start_speed: float = 0.02
-    restart_speed: float = 0.5
     acceleration_noise: float = 0.005
     stretch_damping: float = 0.04
     tension_noise: float = 0.4
@@ -96,18 +90,18 @@ class DynamicEstimatorSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for name in _MOUNTS:
+        for name in _MOUNT_FIELDS:
             frozen_array(name, getattr(self, name), (3,))
         if self.delay is not None:
             check_not_negative("delay", self.delay, "s")
-        apart = (*_POSITIVE, *_MOUNTS, "delay")
+        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, "delay")
         others = [item.name for item in fields(self) if item.name not in apart]
-        check_fields(self, positive=_POSITIVE, not_negative=others)
+        check_fields(self, positive=_POSITIVE_FIELDS, not_negative=others)
 
 
-_MOUNTS = ("imu_position", "imu_rotation")
-_POSITIVE = (
-    "stretch_noise", "wind_time", "start_speed", "restart_speed", "angular_rate_noise",
+_MOUNT_FIELDS = ("imu_position", "imu_rotation")
+_POSITIVE_FIELDS = (
+    "stretch_noise", "wind_time", "start_speed", "angular_rate_noise",
     "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
     "reading_jump", "time_step", "gap_max",
 )  # fmt: skip

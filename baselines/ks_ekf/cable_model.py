@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.ks_ekf.cable_swing import Strings, Swing
-from baselines.ks_ekf.filter_state import FilterState, cross
+from baselines.ks_ekf.cable_swing import CableStrings, CableSwing
+from baselines.ks_ekf.filter_state import KsEkfState, cross
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
@@ -24,12 +24,14 @@ from carosac_toolkit.physics.cable.straight_line import StraightCables, straight
 from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.robot.robot import Robot
 
-TAUT = 2.0  # times its own error: a smaller tension does not say how much the cable sags
+TAUT_TENSION_DEVIATIONS = 2.0  # a smaller tension does not tell how much the cable sags
+TENSION_ERROR_RATIO = 0.05  # of the tensions behind sag and stretch: mass and inertia are so good
+SWING_FADE_TIME_S = 2.0  # in which a cable's own swing fades to 1/e: a second or two in recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectedLengths:
-    """What the state says of the lengths of one robot, without their biases.
+    """Expected lengths of one robot in a state, without their biases.
 
     Attributes:
         length: Unstrained [m], shape (n,); only where `valid`.
@@ -46,11 +48,11 @@ class ExpectedLengths:
     tension: Array
     valid: NDArray[np.bool_]
     spread: Array
-    swing: Swing
+    swing: CableSwing
 
 
 def expected_lengths(
-    robot: Robot, state: FilterState, turning: Array, swing: Swing, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, turning: Array, swing: CableSwing, settings: KsEkfSettings
 ) -> ExpectedLengths:
     """Expect the lengths of a state.
 
@@ -73,19 +75,19 @@ def expected_lengths(
     cables = length_at_tension(robot, where, state.rotation[None], tension[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
-    # By the sag, which goes with the inverse square of the tension, and the stretch.
+    # By the sag, which goes with the inverse square of the tension, and the stretch. A tension is
+    # not known better than to the weight of its cable, nor a length to what its swing takes.
     doubt = (
-        settings.tension_share * np.abs(tension)
+        TENSION_ERROR_RATIO * np.abs(tension)
         + settings.tension_change * np.abs(tension - still)
-        + settings.tension_weight * robot.weight_per_length * straight.length[0]
+        + robot.weight_per_length * straight.length[0]
     )
-    taut = tension > TAUT * doubt
+    taut = tension > TAUT_TENSION_DEVIATIONS * doubt
     less = np.where(taut, tension - doubt, 1.0)
     bend = _curvature(robot, state, straight, settings)
     strings = _strings(robot, straight, tension)
-    swing = swing.later(state.time, strings, settings.swing_time)
-    swinging = settings.swing_share * swing.taken(strings)
-    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swinging
+    swing = swing.later(state.time, strings, SWING_FADE_TIME_S)
+    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swing.taken(strings)
     return ExpectedLengths(
         length=cables.unstrained_length[0],
         jacobian=jacobian,
@@ -96,21 +98,21 @@ def expected_lengths(
     )
 
 
-def _strings(robot: Robot, straight: StraightCables, tension: Array) -> Strings:
-    """The cables as strings; those that hang loose as if under their own weight."""
+def _strings(robot: Robot, straight: StraightCables, tension: Array) -> CableStrings:
+    """Return the cables as strings; loose ones as if under their own weight."""
     length, unit = straight.length[0], straight.direction[0]
     weight = robot.weight_per_length
     across = np.sqrt(np.maximum(1.0 - unit[:, 2] ** 2, 0.0))
-    return Strings(
+    return CableStrings(
         length=length, tension=np.maximum(tension, weight * length), density=robot.linear_density,
         weight=weight * across,
     )  # fmt: skip
 
 
 def _curvature(
-    robot: Robot, state: FilterState, straight: StraightCables, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, straight: StraightCables, settings: KsEkfSettings
 ) -> Array:
-    """By how much lengths are not linear in the errors of the pose, as these may be [m], (n,)."""
+    """Return the second-order length error of the present pose covariance [m], (n,)."""
     mapping = pose_map(state, settings.imu_position)
     variance = np.diag(mapping @ state.covariance @ mapping.T)
     arm = np.linalg.norm(robot.anchor_points, axis=1)
@@ -118,7 +120,7 @@ def _curvature(
 
 
 def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
-    """Wrench of the cables' own weight on the platform, across their chords, shape (6,)."""
+    """Return the wrench of the cables' own weight on the platform, across their chords, (6,)."""
     unit = -straight.direction[0]
     down = np.array([0.0, 0.0, -1.0])
     across = down - unit * (unit @ down)[:, None]
@@ -127,15 +129,15 @@ def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
     return np.concatenate([force.sum(axis=0), np.cross(arm, force).sum(axis=0)])
 
 
-def _weight(robot: Robot, state: FilterState) -> Array:
-    """What they must exert about the platform origin where nothing moves, in W, shape (6,)."""
+def _weight(robot: Robot, state: KsEkfState) -> Array:
+    """Return the wrench of the cables about the origin at rest, in W, shape (6,)."""
     force = np.array([0.0, 0.0, robot.weight])
     arm = state.rotation @ (robot.center_of_mass + state.center)
     return np.concatenate([force, np.cross(arm, force)])
 
 
-def _wrench(robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings) -> Array:
-    """What the cables must exert about the platform origin, in W [N, N m], shape (6,)."""
+def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: KsEkfSettings) -> Array:
+    """Return the wrench of the cables about the origin in motion, in W, shape (6,)."""
     rate, force = state.samples.at(state.time)
     spin = rate - state.rate_bias
     center = robot.center_of_mass + state.center

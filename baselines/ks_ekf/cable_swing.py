@@ -1,4 +1,4 @@
-r"""How cables swing themselves where their tension changes faster than they can follow.
+r"""Swing of the cables themselves where their tension changes faster than they can follow.
 
 A cable of length l and mass per length :math:`\rho` under a tension f is a string. Its slowest
 motion across the chord, with the sag s of its middle, is an oscillator about its sag at rest,
@@ -28,7 +28,7 @@ from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Strings:
+class CableStrings:
     """Cables of one robot at an instant, as strings.
 
     Attributes:
@@ -55,7 +55,7 @@ class Strings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Swing:
+class CableSwing:
     """Sag of the cables of one robot, as it moves.
 
     Attributes:
@@ -70,11 +70,11 @@ class Swing:
     loose: Array | float = 0.0
     time: float = 0.0
 
-    def later(self, time: float, strings: Strings, damping_time: float) -> Swing:
-        """At a time [s], under tensions of then; swings fade to 1/e in `damping_time` [s]."""
+    def later(self, time: float, strings: CableStrings, damping_time: float) -> CableSwing:
+        """Return the swing at a time [s] under later tensions; it fades in `damping_time` [s]."""
         rest, pace = strings.sag, strings.pace
         if self.sag is None:
-            return Swing(sag=rest, speed=np.zeros_like(rest), loose=rest, time=time)
+            return CableSwing(sag=rest, speed=np.zeros_like(rest), loose=rest, time=time)
         gone = max(time - self.time, 0.0)
         turned, left = pace * gone, np.exp(-gone / damping_time)
         beyond, drift = self.sag - rest, self.speed / pace
@@ -84,10 +84,10 @@ class Swing:
         left = left * np.minimum(1.0, loose / np.maximum(far, 1e-12))
         sag = rest + left * (beyond * np.cos(turned) + drift * np.sin(turned))
         speed = left * pace * (drift * np.cos(turned) - beyond * np.sin(turned))
-        return Swing(sag=sag, speed=speed, loose=loose, time=time)
+        return CableSwing(sag=sag, speed=speed, loose=loose, time=time)
 
-    def taken(self, strings: Strings) -> Array:
-        """Length that the swing takes at most, but for what comes and goes [m], shape (n,)."""
+    def taken(self, strings: CableStrings) -> Array:
+        """Return the largest length the swing takes, beside its oscillation [m], shape (n,)."""
         if self.sag is None:
             return np.zeros_like(strings.length)
         square = (self.sag - strings.sag) ** 2 + (self.speed / strings.pace) ** 2

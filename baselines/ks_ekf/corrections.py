@@ -1,4 +1,4 @@
-"""What lengths and rest say against a state: residual, Jacobian and noise of each."""
+"""Residual, Jacobian and noise of lengths, rest poses and stillness against a state."""
 
 from __future__ import annotations
 
@@ -7,27 +7,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.ks_ekf.cable_model import expected_lengths
-from baselines.ks_ekf.cable_swing import Swing
+from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.filter_state import (
-    CENTER,
-    FORCE_BIAS,
-    LENGTHS,
-    RATE_BIAS,
-    ROTATION,
-    VELOCITY,
-    FilterState,
+    CENTER_ERRORS,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
+    RATE_BIAS_ERRORS,
+    ROTATION_ERRORS,
+    VELOCITY_ERRORS,
+    KsEkfState,
     cross,
 )
 from baselines.ks_ekf.platform_motion import origin, pose_map
-from baselines.ks_ekf.rest_detection import Quiet
-from baselines.ks_ekf.rest_pose import RestPose
+from baselines.ks_ekf.rest_detection import RestMeans
+from baselines.ks_ekf.rest_pose import (
+    REST_POSITION_ERROR_M,
+    REST_ROTATION_ERROR_RAD,
+    RestPose,
+)
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
+SWAY_POSITION_ERROR_M = 0.02  # of the mean pose beside the sway, in large motion
+SWAY_ROTATION_ERROR_RAD = 0.05
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evidence:
+class MeasurementResidual:
     """A measurement against a state.
 
     Attributes:
@@ -44,18 +51,18 @@ class Evidence:
     noise: Array
     left_out: int = 0
     tension: Array | None = None
-    swing: Swing | None = None
+    swing: CableSwing | None = None
 
 
 def of_lengths(
-    robot: Robot, state: FilterState, lengths: Array, turning: Array, swing: Swing,
+    robot: Robot, state: KsEkfState, lengths: Array, turning: Array, swing: CableSwing,
     settings: KsEkfSettings,
-) -> Evidence:  # fmt: skip
-    """Lengths (n,) as they are, tight; `turning` is the angular acceleration in P [rad/s^2]."""
+) -> MeasurementResidual:  # fmt: skip
+    """Compare lengths (n,) with a state; `turning` is angular acceleration in P [rad/s^2]."""
     expected = expected_lengths(robot, state, turning, swing, settings)
     use = expected.valid
     residual = (lengths - expected.length - state.length_bias)[use]
-    return Evidence(
+    return MeasurementResidual(
         residual=residual,
         jacobian=expected.jacobian[use],
         noise=np.diag(settings.length_noise**2 + expected.spread[use] ** 2),
@@ -66,17 +73,17 @@ def of_lengths(
 
 
 def of_rest_pose(
-    state: FilterState, rest: RestPose, noise: Array, settings: KsEkfSettings
-) -> Evidence:
-    """A pose of rest with its noise (6, 6), whose errors of lengths and mass are in the state."""
+    state: KsEkfState, rest: RestPose, noise: Array, settings: KsEkfSettings
+) -> MeasurementResidual:
+    """Compare a pose of rest of noise (6, 6) with a state, whose length errors it depends on."""
     import pinocchio
 
     turn = pinocchio.log3(rest.rotation @ state.rotation.T)
     shift = rest.position - origin(state, settings.imu_position)
     jacobian = pose_map(state, settings.imu_position)
-    jacobian[:, CENTER] = -rest.per_center
-    jacobian[:, LENGTHS] = rest.per_length
-    return Evidence(
+    jacobian[:, CENTER_ERRORS] = -rest.per_center
+    jacobian[:, LENGTH_ERRORS] = rest.per_length
+    return MeasurementResidual(
         residual=np.concatenate([shift, turn]),
         jacobian=jacobian,
         noise=noise,
@@ -84,27 +91,27 @@ def of_rest_pose(
     )
 
 
-def rest_noise(settings: KsEkfSettings) -> Array:
-    """Covariance of a pose of rest where the platform rests."""
-    return np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+def rest_noise() -> Array:
+    """Return the covariance of a pose of rest where the platform rests."""
+    return np.diag(np.repeat([REST_POSITION_ERROR_M**2, REST_ROTATION_ERROR_RAD**2], 3))
 
 
 def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
-    """The same where it sways about it."""
-    least = np.repeat([settings.sway_position**2, settings.sway_rotation**2], 3)
+    """Return the covariance of a pose of rest about which the platform sways."""
+    least = np.repeat([SWAY_POSITION_ERROR_M**2, SWAY_ROTATION_ERROR_RAD**2], 3)
     return rest.energy(settings.sway) * rest.softness + np.diag(least)
 
 
 def of_stillness(
-    state: FilterState, quiet: Quiet, gravity: float, settings: KsEkfSettings
-) -> Evidence:
-    """Rest as the IMU sees it: no velocity, no angular rate, nothing but gravity."""
+    state: KsEkfState, quiet: RestMeans, gravity: float, settings: KsEkfSettings
+) -> MeasurementResidual:
+    """Compare rest as the IMU sees it: no velocity, no angular rate, only gravity."""
     down = np.array([0.0, 0.0, -gravity])
     jacobian = np.zeros((9, len(state.covariance)))
-    jacobian[:3, RATE_BIAS] = np.eye(3)
-    jacobian[3:6, ROTATION] = -state.rotation.T @ cross(down)
-    jacobian[3:6, FORCE_BIAS] = np.eye(3)
-    jacobian[6:, VELOCITY] = np.eye(3)
+    jacobian[:3, RATE_BIAS_ERRORS] = np.eye(3)
+    jacobian[3:6, ROTATION_ERRORS] = -state.rotation.T @ cross(down)
+    jacobian[3:6, FORCE_BIAS_ERRORS] = np.eye(3)
+    jacobian[6:, VELOCITY_ERRORS] = np.eye(3)
     residual = np.concatenate(
         [
             quiet.rate - state.rate_bias,
@@ -113,11 +120,11 @@ def of_stillness(
         ]
     )
     spread = np.repeat([settings.rest_rate, settings.rest_force, settings.rest_rate], 3)
-    return Evidence(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
+    return MeasurementResidual(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
 
 
-def without_worst(state: FilterState, evidence: Evidence) -> Evidence:
-    """The same without the channel that contradicts all others most."""
+def without_worst(state: KsEkfState, evidence: MeasurementResidual) -> MeasurementResidual:
+    """Return the residual without the channel that contradicts all others most."""
     spread = evidence.jacobian @ state.covariance @ evidence.jacobian.T + evidence.noise
     inverse = np.linalg.inv(spread)
     # Leaving channel i out lowers the normalised square by (S^-1 r)_i^2 / (S^-1)_ii.

@@ -13,8 +13,8 @@ from carosac_toolkit.loop.consistency import Innovations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Correction:
-    """What a measurement did.
+class FilterCorrection:
+    """Result of one measurement.
 
     Attributes:
         error: Estimated error of the state, shape (k,); zero where the measurement was rejected.
@@ -45,8 +45,7 @@ class ErrorFilter:
     @property
     def covariance(self) -> Array:
         """Covariance of the error, shape (k, k)."""
-        found: Array = self._kalman.P
-        return found
+        return np.asarray(self._kalman.P)
 
     def begin(self, covariance: Array) -> None:
         """Go on from a covariance."""
@@ -60,7 +59,7 @@ class ErrorFilter:
     def correct(
         self, covariance: Array, residual: Array, jacobian: Array, noise: Array,
         *, bounded: bool = False,
-    ) -> Correction:  # fmt: skip
+    ) -> FilterCorrection:  # fmt: skip
         """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise.
 
         One beyond the gate is rejected. Where it is `bounded` it corrects the state by as much as
@@ -77,35 +76,35 @@ class ErrorFilter:
             noise = np.sqrt(beyond) * spread - predicted
         elif not accepted:
             error = np.zeros(len(covariance))
-            return Correction(
+            return FilterCorrection(
                 error=error, covariance=covariance, square=square, dof=dof, accepted=False
             )
         kalman.P = covariance
         kalman.update(residual, lambda _: jacobian, lambda x: jacobian @ x, noise)
         error = kalman.x
         kalman.x = np.zeros(len(error))
-        return Correction(
+        return FilterCorrection(
             error=error, covariance=kalman.P, square=square, dof=dof, accepted=accepted
         )
 
 
 @lru_cache(maxsize=64)
 def limit(dof: int, probability: float) -> float:
-    """What a chi-squared variable stays below with a given probability."""
+    """Return the quantile of a chi-squared variable at a probability."""
     from scipy.stats import chi2
 
     return float(chi2.ppf(probability, dof))
 
 
 def no_innovations() -> Innovations:
-    """Nothing measured."""
+    """Return the sums of no measurements."""
     return Innovations(squares=np.zeros(1), dof=np.zeros(1), rejected=np.zeros(1))
 
 
-def added(before: Innovations, found: Correction) -> Innovations:
-    """With what one more measurement said; a rejected one is only counted."""
+def added(before: Innovations, correction: FilterCorrection) -> Innovations:
+    """Return the sums with one more measurement; a rejected one is only counted."""
     return Innovations(
-        squares=before.squares + (found.square if found.accepted else 0.0),
-        dof=before.dof + (found.dof if found.accepted else 0),
-        rejected=before.rejected + (not found.accepted),
+        squares=before.squares + (correction.square if correction.accepted else 0.0),
+        dof=before.dof + (correction.dof if correction.accepted else 0),
+        rejected=before.rejected + (not correction.accepted),
     )

@@ -12,26 +12,40 @@ from typing import ClassVar
 
 import numpy as np
 
-from baselines.found_center import found_center
-from baselines.ks_ekf import corrections, starting
-from baselines.ks_ekf.corrections import Evidence
-from baselines.ks_ekf.error_filter import Correction, ErrorFilter, added, no_innovations
-from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, FilterState
+from baselines.center_of_mass import learned_center_of_mass
+from baselines.ks_ekf import corrections, initial_state
+from baselines.ks_ekf.corrections import MeasurementResidual
+from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
+from baselines.ks_ekf.filter_state import (
+    CENTER_ERRORS,
+    FIXED_ERROR_COUNT,
+    NO_SAMPLES,
+    POSITION_ERRORS,
+    KsEkfState,
+)
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
-from baselines.ks_ekf.readings import SHORTEST, Reading, due, reading_of
 from baselines.ks_ekf.record import KsEkfRecord
-from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
+from baselines.ks_ekf.rest_detection import (
+    REST_WINDOW_S,
+    RecentMeasurements,
+    RestMeans,
+    detect_rest,
+)
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
-from baselines.length_readings import Readings
+from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S, TimedLengths, due, reading_of
+from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.robot import Robot
 
-LAG = 0.2  # [s]: the filter never stands further behind, even where no lengths come
-DOUBT = 2.0  # by what standard deviations grow where nothing fits any more
-SLOPE = 0.0125  # [s] to both sides, over which the angular rate gives its derivative
+FILTER_LAG_MAX_S = 0.2  # behind now, even where no lengths come
+DOUBT_FACTOR = 2.0  # by which standard deviations grow where no lengths fit any more
+SLOPE_HALF_WIDTH_S = 0.0125  # over which the angular rate gives its derivative: a few samples
+INITIAL_SWAY_M = 0.01  # root mean square at the first measurement, which is taken at rest
+REJECT_TIME_S = 0.1  # lengths that misfit longer count as far as the gate allows: the model errs
+REST_USE_PERIOD_S = 0.5  # between two uses of a rest, whose samples overlap and say little new
 
 
 class KsEkf:
@@ -43,8 +57,10 @@ class KsEkf:
         self._robot = robot
         self._settings = settings
         self._lead = robot.length_delay or 0.0
-        self._kalman = ErrorFilter(FIXED + robot.n, settings.gate)
-        self._motion = InertialMotion(robot.gravity, settings, FIXED + robot.n, self._kalman)
+        self._kalman = ErrorFilter(FIXED_ERROR_COUNT + robot.n, settings.gate)
+        self._motion = InertialMotion(
+            robot.gravity, settings, FIXED_ERROR_COUNT + robot.n, self._kalman
+        )
 
     @classmethod
     def build(cls, robot: Robot, settings: KsEkfSettings | None = None, *, seed: int = 0) -> KsEkf:
@@ -61,21 +77,21 @@ class KsEkf:
         first = reading_of(measurement, self._lead)
         first = replace(first, time=min(first.time, float(measurement.time[0])))
         samples = samples_of(measurement, self._settings)
-        nothing = Window(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
-        state = starting.blank(self._robot, self._settings, first.time)
+        nothing = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
+        state = initial_state.blank(self._robot, self._settings, first.time)
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             reading=first,
-            window=nothing.extended([first], samples, self._settings.rest_window),
-            encoders=Readings.first(first.time, first.lengths),
+            window=nothing.extended([first], samples, REST_WINDOW_S),
+            encoders=LengthReadings.first(first.time, first.lengths),
             slid=np.zeros(self._robot.n),
             innovations=no_innovations(),
             updates=1,
         )
-        record = self._place(record, first, self._settings.initial_sway)
+        record = self._place(record, first, INITIAL_SWAY_M)
         if len(samples) and not record.failures:
             record = self._carry(record)
-            quiet = Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
+            quiet = RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
             record = self._use_stillness(record, quiet)
         return self._belief(record, measurement)
 
@@ -105,25 +121,25 @@ class KsEkf:
 
     def _received(
         self, record: KsEkfRecord, measurement: Measurement
-    ) -> tuple[KsEkfRecord, list[Reading]]:
+    ) -> tuple[KsEkfRecord, list[TimedLengths]]:
         """Note what came; find lengths whose time has come. A gap between samples ends carrying."""
         new, now = reading_of(measurement, self._lead), float(measurement.time[0])
         ready, waiting = due(record.waiting, new, now)
         state, samples = record.state, samples_of(measurement, self._settings)
-        late = sum(reading.time < state.time - SHORTEST for reading in ready)
+        late = sum(reading.time < state.time - TIME_TOLERANCE_S for reading in ready)
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
             known = known.keep(slice(int(gaps[-1]) + 1, None))
-            state = starting.released(state, self._settings)
+            state = initial_state.released(state, self._settings)
         record = replace(record, state=replace(state, samples=known))
         record, good = self._believed(record, ready, now)
-        later = [reading for reading in good if reading.time > state.time + SHORTEST]
+        later = [reading for reading in good if reading.time > state.time + TIME_TOLERANCE_S]
         record = replace(
             record,
             reading=max((record.reading, *good), key=lambda reading: reading.time),
             waiting=waiting,
-            window=record.window.extended(good, samples, self._settings.rest_window),
+            window=record.window.extended(good, samples, REST_WINDOW_S),
             innovations=no_innovations(),
             resting=False,
             updates=record.updates + 1,
@@ -132,8 +148,8 @@ class KsEkf:
         return record, later
 
     def _believed(
-        self, record: KsEkfRecord, ready: tuple[Reading, ...], now: float
-    ) -> tuple[KsEkfRecord, list[Reading]]:
+        self, record: KsEkfRecord, ready: tuple[TimedLengths, ...], now: float
+    ) -> tuple[KsEkfRecord, list[TimedLengths]]:
         """Hold back lengths that no winch can have wound; take off what encoders slipped by."""
         good = []
         for reading in ready:
@@ -159,34 +175,34 @@ class KsEkf:
         state = record.state.slipped(beyond != 0.0)
         return replace(record, state=state, slid=record.encoders.slid)
 
-    def _is_carried(self, state: FilterState, now: float) -> bool:
-        """Whether inertial samples reach up to now."""
+    def _is_carried(self, state: KsEkfState, now: float) -> bool:
+        """Return whether inertial samples reach up to now."""
         samples = state.samples
         return len(samples) > 0 and now - float(samples.time[-1]) <= self._settings.imu_gap
 
-    def _filter(self, record: KsEkfRecord, ready: list[Reading], now: float) -> KsEkfRecord:
+    def _filter(self, record: KsEkfRecord, ready: list[TimedLengths], now: float) -> KsEkfRecord:
         """Go from lengths to lengths, as far as their time has come."""
         if not ready:
-            until = max(record.state.time, now - LAG)
+            until = max(record.state.time, now - FILTER_LAG_MAX_S)
             return replace(record, state=self._motion.advance(record.state, until))
         for reading in ready:
             if record.state.inertial:
                 record = self._weigh(record, reading)
         return record
 
-    def _weigh(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _weigh(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Go to the time of lengths and weigh them; what rests says so."""
         record = replace(record, state=self._motion.advance(record.state, reading.time))
         quiet = detect_rest(record.window, record.state.rate_bias, self._settings)
         record = replace(record, resting=quiet is not None)
         record = self._use_lengths(record, reading)
-        again = reading.time - record.rest_used >= self._settings.rest_period
+        again = reading.time - record.rest_used >= REST_USE_PERIOD_S
         if quiet is not None and again and record.misfit_since is None:
             record = self._use_stillness(record, quiet)
             record = self._use_equilibrium(record, reading)
         return record
 
-    def _use_lengths(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _use_lengths(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Weigh lengths, as they are or as a pose of rest; start anew after too many misfits."""
         record, evidence = self._evidence(record, reading)
         if evidence is None:  # without a pose of rest nothing holds the inertial prediction
@@ -194,24 +210,24 @@ class KsEkf:
         record = replace(record, slack=record.slack + evidence.left_out, tension=evidence.tension)
         if not len(evidence.residual):  # no cable seems taut: no motion lasts long that way
             return self._misfit(record, reading)
-        found = self._correct(record.state, evidence)
+        correction = self._correct(record.state, evidence)
         by_cable = self._settings.coupling == "tight"  # a pose is wrong as a whole
-        if not found.accepted and by_cable and len(evidence.residual) > 3:
+        if not correction.accepted and by_cable and len(evidence.residual) > 3:
             fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
-            found = fewer if fewer.accepted else found
+            correction = fewer if fewer.accepted else correction
             record = replace(record, excluded=record.excluded + fewer.accepted)
-        record = replace(record, innovations=added(record.innovations, found))
-        if found.accepted:
-            state = record.state.injected(found.error, found.covariance)
+        record = replace(record, innovations=added(record.innovations, correction))
+        if correction.accepted:
+            state = record.state.injected(correction.error, correction.covariance)
             return replace(record, state=state, misfit_since=None)
         since = record.misfit_since
-        if since is not None and reading.time - since >= self._settings.reject_time:
-            found = self._correct(record.state, evidence, bounded=True)
-            state = record.state.injected(found.error, found.covariance)
+        if since is not None and reading.time - since >= REJECT_TIME_S:
+            correction = self._correct(record.state, evidence, bounded=True)
+            state = record.state.injected(correction.error, correction.covariance)
             record = replace(record, state=state)
         return self._misfit(record, reading)
 
-    def _misfit(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _misfit(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Count lengths that do not fit; where none do for long, that raises doubts."""
         since = reading.time if record.misfit_since is None else record.misfit_since
         record = replace(record, rejected=record.rejected + 1, misfit_since=since)
@@ -219,22 +235,22 @@ class KsEkf:
             return record
         return self._doubt(record, reading)
 
-    def _doubt(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _doubt(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
-        state = starting.doubted(robot, settings, record.state, DOUBT)
-        if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
+        state = initial_state.doubted(robot, settings, record.state, DOUBT_FACTOR)
+        if np.trace(state.covariance[POSITION_ERRORS, POSITION_ERRORS]) < settings.sway**2:
             return replace(record, state=state, doubts=record.doubts + 1)
-        lost = starting.forgotten(robot, settings, record.state)
+        lost = initial_state.forgotten(robot, settings, record.state)
         return self._restart(replace(record, state=lost), reading)
 
     def _evidence(
-        self, record: KsEkfRecord, reading: Reading
-    ) -> tuple[KsEkfRecord, Evidence | None]:
-        """What the lengths say; None where they have no pose of rest but need one."""
+        self, record: KsEkfRecord, reading: TimedLengths
+    ) -> tuple[KsEkfRecord, MeasurementResidual | None]:
+        """Compare the lengths with the state; None where they need a pose of rest but have none."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
-            turning = slope(record.window.samples, state.time, SLOPE)
+            turning = slope(record.window.samples, state.time, SLOPE_HALF_WIDTH_S)
             tight = corrections.of_lengths(
                 self._robot, state, reading.lengths, turning, record.swing, settings
             )
@@ -244,69 +260,71 @@ class KsEkf:
             return record, None
         noise = corrections.sway_noise(rest, settings)
         if record.resting:
-            noise = corrections.rest_noise(settings)
+            noise = corrections.rest_noise()
         return record, corrections.of_rest_pose(state, rest, noise, settings)
 
-    def _use_stillness(self, record: KsEkfRecord, quiet: Quiet) -> KsEkfRecord:
+    def _use_stillness(self, record: KsEkfRecord, quiet: RestMeans) -> KsEkfRecord:
         """Weigh that nothing moves, by the IMU."""
         gravity = self._robot.gravity
         evidence = corrections.of_stillness(record.state, quiet, gravity, self._settings)
         return self._use_rest(replace(record, rest_used=record.state.time), evidence)
 
-    def _use_equilibrium(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _use_equilibrium(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Weigh that the platform is where it rests, unless that was the measurement anyway."""
         if self._settings.coupling == "loose":
             return record
         record, rest = self._rest(record, reading)
         if rest is None:
             return replace(record, failures=record.failures + 1)
-        noise = corrections.rest_noise(self._settings)
+        noise = corrections.rest_noise()
         evidence = corrections.of_rest_pose(record.state, rest, noise, self._settings)
         return self._use_rest(record, evidence)
 
-    def _use_rest(self, record: KsEkfRecord, evidence: Evidence) -> KsEkfRecord:
+    def _use_rest(self, record: KsEkfRecord, evidence: MeasurementResidual) -> KsEkfRecord:
         """Weigh something that holds at rest; where it does not fit, it is held back."""
-        found = self._correct(record.state, evidence)
-        if not found.accepted:
+        correction = self._correct(record.state, evidence)
+        if not correction.accepted:
             return replace(record, held=record.held + 1)
-        return replace(record, state=record.state.injected(found.error, found.covariance))
+        return replace(record, state=record.state.injected(correction.error, correction.covariance))
 
     def _correct(
-        self, state: FilterState, evidence: Evidence, *, bounded: bool = False
-    ) -> Correction:
+        self, state: KsEkfState, evidence: MeasurementResidual, *, bounded: bool = False
+    ) -> FilterCorrection:
         """Weigh evidence; beyond the gate not at all, or as far as the gate allows."""
         return self._kalman.correct(
             state.covariance, evidence.residual, evidence.jacobian, evidence.noise, bounded=bounded
         )
 
     def _coast(self, record: KsEkfRecord) -> KsEkfRecord:
-        """Without inertial samples: the pose of rest, with the sway that there may be."""
-        state = replace(starting.released(record.state, self._settings), samples=NO_SAMPLES)
+        """Take the pose of rest, with the sway that is possible, without inertial samples."""
+        state = replace(initial_state.released(record.state, self._settings), samples=NO_SAMPLES)
         record = replace(record, state=state, coasted=record.coasted + 1)
         return self._place(record, record.reading, self._settings.sway)
 
-    def _restart(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _restart(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Start anew at the pose of rest, with the sway that there may be."""
-        found = self._place(record, reading, self._settings.sway)
-        if found.failures > record.failures:
-            return replace(found, state=replace(found.state, samples=record.state.samples))
-        return self._carry(replace(found, restarts=record.restarts + 1, misfit_since=None))
+        placed = self._place(record, reading, self._settings.sway)
+        if placed.failures > record.failures:
+            return replace(placed, state=replace(placed.state, samples=record.state.samples))
+        return self._carry(replace(placed, restarts=record.restarts + 1, misfit_since=None))
 
-    def _place(self, record: KsEkfRecord, reading: Reading, sway: float) -> KsEkfRecord:
+    def _place(self, record: KsEkfRecord, reading: TimedLengths, sway: float) -> KsEkfRecord:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""
         record, rest = self._rest(record, reading)
         if rest is None:
-            state = starting.lost(self._robot, self._settings, record.state, reading.time)
+            state = initial_state.lost(self._robot, self._settings, record.state, reading.time)
             return replace(record, state=state, failures=record.failures + 1)
-        state = starting.placed(record.state, rest, reading, sway, self._settings)
+        state = initial_state.placed(record.state, rest, reading, sway, self._settings)
         return replace(record, state=state, tension=rest.tension)
 
     def _carry(self, record: KsEkfRecord) -> KsEkfRecord:
         """Let the inertial samples carry a state that was just placed."""
-        return replace(record, state=starting.inertial(record.state, self._settings))
+        return replace(record, state=initial_state.inertial(record.state, self._settings))
 
-    def _rest(self, record: KsEkfRecord, reading: Reading) -> tuple[KsEkfRecord, RestPose | None]:
-        """Pose of rest of the lengths, without what the state knows of their errors."""
+    def _rest(
+        self, record: KsEkfRecord, reading: TimedLengths
+    ) -> tuple[KsEkfRecord, RestPose | None]:
+        """Solve for rest on the lengths, less the errors that the state knows."""
         state = record.state
         lengths = reading.lengths - state.length_bias
         rest = find_rest(self._robot, lengths, state.center, state.solution)
@@ -314,7 +332,7 @@ class KsEkf:
         return replace(record, state=replace(state, solution=solution)), rest
 
     def _belief(self, record: KsEkfRecord, measurement: Measurement) -> Belief:
-        """The belief at the time of a measurement: none of the lengths used is later."""
+        """Return the belief at the time of a measurement; no lengths used are later."""
         now = float(measurement.time[0])
         if record.state.inertial:
             state = self._motion.advance(record.state, now)
@@ -324,8 +342,9 @@ class KsEkf:
             state = record.state
             twist, covariance = at_rest(state)
             position = state.position
-        center = found_center(
-            self._robot.center_of_mass + state.center, state.covariance[CENTER, CENTER],
+        center = learned_center_of_mass(
+            self._robot.center_of_mass + state.center,
+            state.covariance[CENTER_ERRORS, CENTER_ERRORS],
             self._settings.center_of_mass_prior,
         )  # fmt: skip
         return Belief(

@@ -1,4 +1,4 @@
-"""What the filter carries from one measurement to the next."""
+"""State that the filter carries from one measurement to the next."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.length_readings import SLIP_DOUBT
+from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
-POSITION = slice(0, 3)  # of the error state, all in W unless said otherwise [m]
-ROTATION = slice(3, 6)  # log(R R_hat^T) [rad]
-POSE = slice(0, 6)
-VELOCITY = slice(6, 9)  # [m/s]
-RATE_BIAS = slice(9, 12)  # in P [rad/s]
-FORCE_BIAS = slice(12, 15)  # in P [m/s^2]
-CENTER = slice(15, 18)  # of mass, in P [m]
-LENGTHS = slice(18, None)  # errors of the n lengths [m]
-FIXED = 18  # entries before those of the lengths
+POSITION_ERRORS = slice(0, 3)  # of the error state, all in W unless said otherwise [m]
+ROTATION_ERRORS = slice(3, 6)  # log(R R_hat^T) [rad]
+POSE_ERRORS = slice(0, 6)
+VELOCITY_ERRORS = slice(6, 9)  # [m/s]
+RATE_BIAS_ERRORS = slice(9, 12)  # in P [rad/s]
+FORCE_BIAS_ERRORS = slice(12, 15)  # in P [m/s^2]
+CENTER_ERRORS = slice(15, 18)  # of mass, in P [m]
+LENGTH_ERRORS = slice(18, None)  # errors of the n lengths [m]
+FIXED_ERROR_COUNT = 18  # entries before those of the lengths
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class InertialSamples:
     """Inertial samples in time order, axes of P.
 
     Attributes:
@@ -39,26 +39,28 @@ class Samples:
     def __len__(self) -> int:
         return len(self.time)
 
-    def keep(self, which: slice) -> Samples:
-        """A part of them."""
-        return Samples(time=self.time[which], rate=self.rate[which], force=self.force[which])
+    def keep(self, which: slice) -> InertialSamples:
+        """Return a part of the samples."""
+        return InertialSamples(
+            time=self.time[which], rate=self.rate[which], force=self.force[which]
+        )
 
-    def after(self, time: float) -> Samples:
-        """Those from the last one at or before a time on, from which motion can go on."""
+    def after(self, time: float) -> InertialSamples:
+        """Return the samples from the last one at or before a time on."""
         first = int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1
         return self.keep(slice(max(first, 0), None))
 
-    def joined(self, other: Samples) -> Samples:
-        """With later ones; what is not later than the last one here is left out."""
+    def joined(self, other: InertialSamples) -> InertialSamples:
+        """Append later samples; leave out those that are not later than the last one."""
         new = other.time > (self.time[-1] + 1e-9 if len(self) else -np.inf)
-        return Samples(
+        return InertialSamples(
             time=np.concatenate([self.time, other.time[new]]),
             rate=np.concatenate([self.rate, other.rate[new]]),
             force=np.concatenate([self.force, other.force[new]]),
         )
 
     def at(self, time: float) -> tuple[Array, Array]:
-        """Angular rate and specific force at a time, straight between samples, else the nearest."""
+        """Interpolate angular rate and specific force at a time; outside take the nearest."""
         k = int(np.searchsorted(self.time, time))
         if k == 0 or k == len(self):
             k = min(k, len(self) - 1)
@@ -68,11 +70,11 @@ class Samples:
         return rate, self.force[k - 1] + share * (self.force[k] - self.force[k - 1])
 
 
-NO_SAMPLES = Samples(time=np.zeros(0), rate=np.zeros((0, 3)), force=np.zeros((0, 3)))
+NO_SAMPLES = InertialSamples(time=np.zeros(0), rate=np.zeros((0, 3)), force=np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilterState:
+class KsEkfState:
     """State of the filter at one time, for one robot of n cables.
 
     The filter stands at the time of the lengths used last; inertial samples after that wait in
@@ -108,38 +110,40 @@ class FilterState:
     inertial: bool
     twist: Array
     twist_covariance: Array
-    samples: Samples
+    samples: InertialSamples
     solution: Equilibrium | None = None
 
-    def injected(self, error: Array, covariance: Array) -> FilterState:
+    def injected(self, error: Array, covariance: Array) -> KsEkfState:
         """Put an estimated error (18 + n,) into the state, and take its covariance over."""
         import pinocchio
 
-        rotation = pinocchio.exp3(error[ROTATION]) @ self.rotation
+        rotation = pinocchio.exp3(error[ROTATION_ERRORS]) @ self.rotation
         # The rotation error is now counted from another rotation.
         reset = np.eye(len(error))
-        reset[ROTATION, ROTATION] = pinocchio.Jexp3(-error[ROTATION])
+        reset[ROTATION_ERRORS, ROTATION_ERRORS] = pinocchio.Jexp3(-error[ROTATION_ERRORS])
         moved = reset @ covariance @ reset.T
         return replace(
             self,
-            position=self.position + error[POSITION],
+            position=self.position + error[POSITION_ERRORS],
             rotation=1.5 * rotation - 0.5 * rotation @ rotation.T @ rotation,  # without rounding
-            velocity=self.velocity + error[VELOCITY],
-            rate_bias=self.rate_bias + error[RATE_BIAS],
-            force_bias=self.force_bias + error[FORCE_BIAS],
-            center=self.center + error[CENTER],
-            length_bias=self.length_bias + error[LENGTHS],
+            velocity=self.velocity + error[VELOCITY_ERRORS],
+            rate_bias=self.rate_bias + error[RATE_BIAS_ERRORS],
+            force_bias=self.force_bias + error[FORCE_BIAS_ERRORS],
+            center=self.center + error[CENTER_ERRORS],
+            length_bias=self.length_bias + error[LENGTH_ERRORS],
             covariance=0.5 * (moved + moved.T),
         )
 
-    def slipped(self, which: NDArray[np.bool_]) -> FilterState:
-        """With more doubt of the lengths of cables (n,) whose encoders have slipped."""
+    def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
+        """Return the state with the lengths of cables (n,) whose encoders slipped less certain."""
         covariance = self.covariance.copy()
-        covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DOUBT**2, 0.0))
+        covariance[LENGTH_ERRORS, LENGTH_ERRORS] += np.diag(
+            np.where(which, SLIP_DEVIATION_M**2, 0.0)
+        )
         return replace(self, covariance=covariance)
 
 
 def cross(vector: Array) -> Array:
-    """The matrix [a]x of a x b, shape (3, 3)."""
+    """Return the matrix [a]x of a x b, shape (3, 3)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -19,33 +19,33 @@ import numpy as np
 
 from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import (
-    FORCE_BIAS,
-    LENGTHS,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
     NO_SAMPLES,
-    POSITION,
-    RATE_BIAS,
-    ROTATION,
-    VELOCITY,
-    FilterState,
-    Samples,
+    POSITION_ERRORS,
+    RATE_BIAS_ERRORS,
+    ROTATION_ERRORS,
+    VELOCITY_ERRORS,
+    InertialSamples,
+    KsEkfState,
     cross,
 )
-from baselines.ks_ekf.readings import SHORTEST
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-MINUTE = 60.0  # [s]
+MINUTE_S = 60.0
 
 
-def samples_of(measurement: Measurement, settings: KsEkfSettings) -> Samples:
-    """Inertial samples of a measurement, maybe none, turned into the axes of the platform."""
+def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
+    """Return the inertial samples of a measurement, if any, in the axes of the platform."""
     imu = measurement.imu
     if imu is None:
         return NO_SAMPLES
     turn = settings.imu_rotation.T
     order = np.argsort(imu.time[0], kind="stable")
-    return Samples(
+    return InertialSamples(
         time=imu.time[0][order],
         rate=imu.angular_rate[0][order] @ turn,
         force=imu.specific_force[0][order] @ turn,
@@ -68,42 +68,42 @@ class InertialMotion:
         """
         self._kalman = kalman
         self._gravity = np.array([0.0, 0.0, -gravity])
-        walk = settings.bias_walk**2 / MINUTE
+        walk = settings.bias_walk**2 / MINUTE_S
         steady, growing = np.zeros(size), np.zeros(size)
-        steady[ROTATION] = settings.angular_rate_noise**2
-        steady[VELOCITY] = settings.specific_force_noise**2
-        growing[RATE_BIAS] = walk * settings.angular_rate_bias**2
-        growing[FORCE_BIAS] = walk * settings.specific_force_bias**2
-        growing[LENGTHS] = settings.length_walk**2 / MINUTE
+        steady[ROTATION_ERRORS] = settings.angular_rate_noise**2
+        steady[VELOCITY_ERRORS] = settings.specific_force_noise**2
+        growing[RATE_BIAS_ERRORS] = walk * settings.angular_rate_bias**2
+        growing[FORCE_BIAS_ERRORS] = walk * settings.specific_force_bias**2
+        growing[LENGTH_ERRORS] = settings.length_walk**2 / MINUTE_S
         self._noise = np.diag(steady), np.diag(growing)
         drift = np.zeros(size)
-        drift[ROTATION] = settings.rate_change**2
-        drift[VELOCITY] = settings.force_change**2
+        drift[ROTATION_ERRORS] = settings.rate_change**2
+        drift[VELOCITY_ERRORS] = settings.force_change**2
         self._held = np.diag(drift)
 
-    def advance(self, state: FilterState, until: float) -> FilterState:
+    def advance(self, state: KsEkfState, until: float) -> KsEkfState:
         """Go to a time [s] with the samples that the state has; after the last one, it is held."""
         samples = state.samples
         self._kalman.begin(state.covariance)
         start = samples.at(state.time)
         for time, rate, force in zip(samples.time, samples.rate, samples.force, strict=True):
-            if state.time + SHORTEST < time <= until + SHORTEST:
+            if state.time + TIME_TOLERANCE_S < time <= until + TIME_TOLERANCE_S:
                 state = self._step(state, time - state.time, start, (rate, force))
                 start = (rate, force)
-        if until - state.time > SHORTEST:
+        if until - state.time > TIME_TOLERANCE_S:
             end, held = samples.at(until), until - float(samples.time[-1])
             state = self._step(state, until - state.time, start, end, max(held, 0.0))
         return replace(state, covariance=self._kalman.covariance, samples=samples.after(state.time))
 
     def _step(
         self,
-        state: FilterState,
+        state: KsEkfState,
         h: float,
         start: tuple[Array, Array],
         end: tuple[Array, Array],
         held: float = 0.0,
-    ) -> FilterState:
-        """One step of h seconds by the trapezoidal rule; its end is `held` after any sample [s]."""
+    ) -> KsEkfState:
+        """Integrate h seconds by the trapezoidal rule, to an end `held` after any sample [s]."""
         import pinocchio
 
         turn = h * (0.5 * (start[0] + end[0]) - state.rate_bias)
@@ -127,21 +127,21 @@ class InertialMotion:
     def _transition(
         self, before: Array, after: Array, bend: Array, force: Array, h: float, size: int
     ) -> Array:
-        """Jacobian of a step, shape (size, size)."""
+        """Return the Jacobian of a step, shape (size, size)."""
         matrix = np.eye(size)
         lean = -h * cross(force)
         middle = -0.5 * h * (before + after)
-        matrix[POSITION, VELOCITY] = h * np.eye(3)
-        matrix[POSITION, ROTATION] = 0.5 * h * lean
-        matrix[POSITION, FORCE_BIAS] = 0.5 * h * middle
-        matrix[VELOCITY, ROTATION] = lean
-        matrix[VELOCITY, FORCE_BIAS] = middle
-        matrix[ROTATION, RATE_BIAS] = -h * after @ bend
+        matrix[POSITION_ERRORS, VELOCITY_ERRORS] = h * np.eye(3)
+        matrix[POSITION_ERRORS, ROTATION_ERRORS] = 0.5 * h * lean
+        matrix[POSITION_ERRORS, FORCE_BIAS_ERRORS] = 0.5 * h * middle
+        matrix[VELOCITY_ERRORS, ROTATION_ERRORS] = lean
+        matrix[VELOCITY_ERRORS, FORCE_BIAS_ERRORS] = middle
+        matrix[ROTATION_ERRORS, RATE_BIAS_ERRORS] = -h * after @ bend
         return matrix
 
 
-def slope(samples: Samples, time: float, reach: float) -> Array:
-    """Angular acceleration in P [rad/s^2], shape (3,): least squares over samples within `reach`.
+def slope(samples: InertialSamples, time: float, reach: float) -> Array:
+    """Fit the angular acceleration in P [rad/s^2], shape (3,), to samples within `reach`.
 
     Args:
         samples: Also those later than the time.

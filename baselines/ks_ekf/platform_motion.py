@@ -7,33 +7,33 @@ from dataclasses import replace
 import numpy as np
 
 from baselines.ks_ekf.filter_state import (
-    POSE,
-    POSITION,
-    RATE_BIAS,
-    ROTATION,
-    VELOCITY,
-    FilterState,
+    POSE_ERRORS,
+    POSITION_ERRORS,
+    RATE_BIAS_ERRORS,
+    ROTATION_ERRORS,
+    VELOCITY_ERRORS,
+    KsEkfState,
     cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 
 
-def origin(state: FilterState, lever: Array) -> Array:
-    """Platform origin in W [m], shape (3,), for an IMU at `lever` in P [m]."""
+def origin(state: KsEkfState, lever: Array) -> Array:
+    """Return the platform origin in W [m], shape (3,), for an IMU at `lever` in P [m]."""
     return state.position - state.rotation @ lever
 
 
-def pose_map(state: FilterState, lever: Array) -> Array:
-    """Error of the platform's pose [dp; dtheta] per error of the state, shape (6, 18 + n)."""
+def pose_map(state: KsEkfState, lever: Array) -> Array:
+    """Return the pose error [dp; dtheta] per error of the state, shape (6, 18 + n)."""
     matrix = np.zeros((6, len(state.covariance)))
-    matrix[:, POSE] = np.eye(6)
-    matrix[:3, ROTATION] = cross(state.rotation @ lever)
+    matrix[:, POSE_ERRORS] = np.eye(6)
+    matrix[:3, ROTATION_ERRORS] = cross(state.rotation @ lever)
     return matrix
 
 
-def carried(state: FilterState, settings: KsEkfSettings) -> tuple[Array, Array]:
-    """Twist of the platform origin, and covariance of pose and twist, from inertial samples.
+def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
+    """Return the twist of the origin, and the covariance of pose and twist, with an IMU.
 
     Args:
         state: At the time of its newest sample, or after it.
@@ -47,11 +47,11 @@ def carried(state: FilterState, settings: KsEkfSettings) -> tuple[Array, Array]:
     twist = np.concatenate([state.velocity - np.cross(rate, arm), rate])
     matrix = np.zeros((12, len(state.covariance)))
     matrix[:6] = pose_map(state, settings.imu_position)
-    matrix[9:, ROTATION] = -cross(rate)
-    matrix[9:, RATE_BIAS] = -state.rotation
+    matrix[9:, ROTATION_ERRORS] = -cross(rate)
+    matrix[9:, RATE_BIAS_ERRORS] = -state.rotation
     matrix[6:9] = cross(arm) @ matrix[9:]
-    matrix[6:9, VELOCITY] += np.eye(3)
-    matrix[6:9, ROTATION] += cross(rate) @ cross(arm)
+    matrix[6:9, VELOCITY_ERRORS] += np.eye(3)
+    matrix[6:9, ROTATION_ERRORS] += cross(rate) @ cross(arm)
     held = max(state.time - float(state.samples.time[-1]), 0.0)
     noise = np.zeros((12, 3))
     noise[9:] = np.hypot(settings.angular_rate_noise, held * settings.rate_change) * np.eye(3)
@@ -60,20 +60,20 @@ def carried(state: FilterState, settings: KsEkfSettings) -> tuple[Array, Array]:
     return twist, 0.5 * (covariance + covariance.T)
 
 
-def at_rest(state: FilterState) -> tuple[Array, Array]:
-    """The same where nothing inertial carries the state, which then sits at the origin."""
+def at_rest(state: KsEkfState) -> tuple[Array, Array]:
+    """Return twist and covariance of a state at the origin that no inertial samples carry."""
     covariance = np.zeros((12, 12))
-    covariance[:6, :6] = state.covariance[POSE, POSE]
+    covariance[:6, :6] = state.covariance[POSE_ERRORS, POSE_ERRORS]
     covariance[6:, 6:] = state.twist_covariance
     return state.twist, covariance
 
 
-def moved_to_imu(state: FilterState, rate: Array, lever: Array) -> FilterState:
+def moved_to_imu(state: KsEkfState, rate: Array, lever: Array) -> KsEkfState:
     """Move a state from the platform's origin to the IMU, turning at `rate` in W [rad/s]."""
     arm = state.rotation @ lever
     matrix = np.eye(len(state.covariance))
-    matrix[POSITION, ROTATION] = -cross(arm)
-    matrix[VELOCITY, ROTATION] = -cross(rate) @ cross(arm)
+    matrix[POSITION_ERRORS, ROTATION_ERRORS] = -cross(arm)
+    matrix[VELOCITY_ERRORS, ROTATION_ERRORS] = -cross(rate) @ cross(arm)
     return replace(
         state,
         position=state.position + arm,

@@ -1,18 +1,18 @@
-"""What a belief of the filter remembers."""
+"""Memory of a belief of the filter."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from baselines.ks_ekf.cable_swing import Swing
-from baselines.ks_ekf.filter_state import FilterState
-from baselines.ks_ekf.readings import Reading
-from baselines.ks_ekf.rest_detection import Window
-from baselines.length_readings import Readings
+from baselines.ks_ekf.cable_swing import CableSwing
+from baselines.ks_ekf.filter_state import KsEkfState
+from baselines.ks_ekf.rest_detection import RecentMeasurements
+from baselines.ks_ekf.timed_lengths import TimedLengths
+from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.consistency import Innovations
 
-NO_SWING = Swing()
+NO_SWING = CableSwing()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,15 +50,15 @@ class KsEkfRecord:
         held: Measurements with rest detected that contradicted the rest, and were not used.
     """
 
-    state: FilterState
-    reading: Reading
-    window: Window
-    encoders: Readings
+    state: KsEkfState
+    reading: TimedLengths
+    window: RecentMeasurements
+    encoders: LengthReadings
     slid: Array
     innovations: Innovations
-    waiting: tuple[Reading, ...] = ()
+    waiting: tuple[TimedLengths, ...] = ()
     tension: Array | None = None
-    swing: Swing = NO_SWING
+    swing: CableSwing = NO_SWING
     resting: bool = False
     rest_used: float = -float("inf")
     updates: int = 0

@@ -1,4 +1,4 @@
-"""Whether the platform rests: quiet encoders and a quiet IMU over a window."""
+"""Detection of rest: quiet encoders and a quiet IMU over a window."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.ks_ekf.filter_state import NO_SAMPLES, Samples
-from baselines.ks_ekf.readings import Reading
+from baselines.ks_ekf.filter_state import NO_SAMPLES, InertialSamples
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
+
+REST_WINDOW_S = 1.0  # quiet for so long is at rest: shorter ones see the turning point of a sway
+REST_LENGTH_RANGE_MAX_M = 3e-3  # of a length in the window: encoder noise and creep of a held winch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Window:
+class RecentMeasurements:
     """The last measurements.
 
     Attributes:
@@ -25,10 +28,12 @@ class Window:
 
     time: Array
     lengths: Array
-    samples: Samples = NO_SAMPLES
+    samples: InertialSamples = NO_SAMPLES
 
-    def extended(self, readings: Sequence[Reading], samples: Samples, span: float) -> Window:
-        """With measurements that are later, without those older than `span` seconds."""
+    def extended(
+        self, readings: Sequence[TimedLengths], samples: InertialSamples, span: float
+    ) -> RecentMeasurements:
+        """Append later measurements, and drop those older than `span` seconds."""
         last = self.time[-1] if len(self.time) else -np.inf
         new = [reading for reading in readings if reading.time > last]
         when = np.append(self.time, [reading.time for reading in new])
@@ -37,29 +42,31 @@ class Window:
         inertial = self.samples.joined(samples)
         if len(inertial):
             inertial = inertial.after(inertial.time[-1] - span)
-        return Window(time=when[first:], lengths=lengths[first:], samples=inertial)
+        return RecentMeasurements(time=when[first:], lengths=lengths[first:], samples=inertial)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Quiet:
+class RestMeans:
     """Means over a window at rest: angular rate [rad/s] and specific force [m/s^2], axes of P."""
 
     rate: Array
     force: Array
 
 
-def detect_rest(window: Window, rate_bias: Array, settings: KsEkfSettings) -> Quiet | None:
+def detect_rest(
+    window: RecentMeasurements, rate_bias: Array, settings: KsEkfSettings
+) -> RestMeans | None:
     """Decide whether the platform rests; None where it does not, or the window is too short.
 
     Without an IMU nothing is known of sway, and no rest is ever detected.
 
     Args:
-        window: Of at least `rest_window`.
+        window: Of at least `REST_WINDOW_S`.
         rate_bias: Of the gyroscope, axes of P [rad/s], shape (3,).
         settings: The thresholds.
     """
     samples = window.samples
-    span = settings.rest_window
+    span = REST_WINDOW_S
     short = 0.02  # of the span: the sampling of both
     if len(samples) < 2 or window.time[-1] - window.time[0] < (1.0 - short) * span:
         return None
@@ -68,6 +75,6 @@ def detect_rest(window: Window, rate_bias: Array, settings: KsEkfSettings) -> Qu
     spread = samples.force.std(axis=0).max()
     rate = np.sqrt(((samples.rate - rate_bias) ** 2).sum(axis=1).mean())
     moved = np.ptp(window.lengths, axis=0).max()
-    if moved > settings.rest_length or rate > settings.rest_rate or spread > settings.rest_force:
+    if moved > REST_LENGTH_RANGE_MAX_M or rate > settings.rest_rate or spread > settings.rest_force:
         return None
-    return Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
+    return RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))

@@ -21,7 +21,9 @@ from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-3  # [m]: difference of lengths for derivatives
+LENGTH_STEP_M = 1e-3  # for derivatives by differences
+REST_POSITION_ERROR_M = 3e-3  # model error of the equilibrium, per axis, where the platform rests
+REST_ROTATION_ERROR_RAD = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +51,7 @@ class RestPose:
     solution: Equilibrium
 
     def energy(self, sway: float) -> float:
-        """Energy per mode [J] at which the position sways by `sway`, root mean square [m]."""
+        """Return the energy per mode [J] at which the position sways by `sway` (RMS) [m]."""
         return sway**2 / float(np.trace(self.softness[:3, :3]))
 
 
@@ -62,37 +64,37 @@ def find_rest(
         None where there is no stable equilibrium.
     """
     n = robot.n
-    if (lengths <= 2.0 * STEP).any() or not np.isfinite(lengths).all():
+    if (lengths <= 2.0 * LENGTH_STEP_M).any() or not np.isfinite(lengths).all():
         return None
-    rows = np.concatenate([lengths[None], lengths + STEP * np.eye(n)])
-    found = forward_kinematics(robot, rows, guess=guess)
-    if guess is not None and not (found.converged & found.stable).all():
-        found = forward_kinematics(robot, rows)
-    if not (found.converged & found.stable).all():
+    rows = np.concatenate([lengths[None], lengths + LENGTH_STEP_M * np.eye(n)])
+    rests = forward_kinematics(robot, rows, guess=guess)
+    if guess is not None and not (rests.converged & rests.stable).all():
+        rests = forward_kinematics(robot, rows)
+    if not (rests.converged & rests.stable).all():
         return None
-    return _with_derivatives(robot, found, center)
+    return _with_derivatives(robot, rests, center)
 
 
-def _with_derivatives(robot: Robot, found: Equilibrium, center: Array) -> RestPose:
-    """Differences between the rows of a solve, and the shift of the centre of mass."""
+def _with_derivatives(robot: Robot, rests: Equilibrium, center: Array) -> RestPose:
+    """Return the first row's rest with derivatives from the others, and its shifted centre."""
     import pinocchio
 
-    rotation = found.rotation[0]
-    shifts = found.position[1:] - found.position[0]
-    turns = [pinocchio.log3(other @ rotation.T) for other in found.rotation[1:]]
-    softness = np.linalg.inv(found.stiffness[0])
+    rotation = rests.rotation[0]
+    shifts = rests.position[1:] - rests.position[0]
+    turns = [pinocchio.log3(other @ rotation.T) for other in rests.rotation[1:]]
+    softness = np.linalg.inv(rests.stiffness[0])
     # (R dc) x (0, 0, -mg), per dc
     moment = robot.weight * cross(np.array([0.0, 0.0, 1.0])) @ rotation
     per_center = softness[:, 3:] @ moment
     lean = per_center @ center
-    at = found.unstrained_length[:1]
+    at = rests.unstrained_length[:1]
     return RestPose(
-        position=found.position[0] + lean[:3],
+        position=rests.position[0] + lean[:3],
         rotation=pinocchio.exp3(lean[3:]) @ rotation,
-        tension=found.tension[0],
-        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / STEP,
+        tension=rests.tension[0],
+        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / LENGTH_STEP_M,
         per_center=per_center,
         softness=0.5 * (softness + softness.T),
-        lightness=np.linalg.inv(mass_matrix(robot, found.rotation[:1], at)[0]),
-        solution=found,
+        lightness=np.linalg.inv(mass_matrix(robot, rests.rotation[:1], at)[0]),
+        solution=rests,
     )

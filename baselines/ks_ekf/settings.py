@@ -12,11 +12,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_fraction
 
 Coupling = Literal["loose", "tight"]
-CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
-MAY_BE_ZERO = (
-    "tension_change", "swing_share", "center_of_mass_prior", "bias_walk", "length_walk",
-    "initial_sway",
-)  # fmt: skip
+FIELDS_CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
+FIELDS_MAY_BE_ZERO = ("tension_change", "center_of_mass_prior", "bias_walk", "length_walk")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,13 +34,8 @@ class KsEkfSettings:
         rate_change: How fast the angular rate may change meanwhile [rad/s^2].
         force_change: How fast the specific force may change meanwhile [m/s^3].
         length_noise: Of a length [m].
-        tension_share: Error of the tensions behind sag and stretch, as a share of them.
         tension_change: What adds to that, as a share of what motion changes them by: a cable that
             swings itself does not sag as one at rest under the same tension.
-        tension_weight: What adds to that, as a share of the weight of the cable.
-        swing_share: Error of the length of a cable that swings itself after its tension has changed
-            quickly, as a share of what its swing takes at most.
-        swing_time: In which such a swing fades to a share 1/e [s].
         length_bias: Prior of the constant error of each length [m].
         length_walk: By how much that error walks in a minute [m]: exit points that are off change
             it as the platform moves. 0: it is constant, as that of an encoder is.
@@ -51,24 +43,14 @@ class KsEkfSettings:
         gate: Probability with which a good measurement passes its gate.
         reading_jump: Distance from the last lengths, beyond what a winch can do, from which lengths
             are outliers, or encoders have slipped where they stay there [m].
-        reject_time: For so long lengths that do not pass are rejected. Where they still do not
-            then, it is rather the model that errs: they count as far as the gate allows [s].
         misfit_time: Once lengths have not fit for so long, the filter doubts itself: its covariance
             grows with each further misfit, until lengths are believed again or the position is as
             uncertain as by `sway`; then it starts anew. Inertial samples alone stay within some
             centimetres for so long, within decimetres on a platform that shakes [s].
-        rest_window: What must be quiet for so long is at rest [s].
-        rest_length: Largest range of a length in that window [m].
         rest_rate: Largest angular rate in it, root mean square [rad/s].
         rest_force: Largest standard deviation of the specific force in it [m/s^2].
-        rest_period: Time between two uses of the fact that the platform rests [s].
-        rest_position: By how much a platform at rest may be off its equilibrium, per axis [m].
-        rest_rotation: The same for its rotation [rad].
         sway: Sway that is possible in motion, as the root mean square of the position [m]. Its
             shape is that of equal energy in all modes.
-        initial_sway: The same at the first measurement.
-        sway_position: By how much the pose of rest is off besides, in large motion [m].
-        sway_rotation: The same for its rotation [rad].
     """
 
     coupling: Coupling = "tight"
@@ -83,29 +65,16 @@ class KsEkfSettings:
     rate_change: float = 10.0
     force_change: float = 40.0
     length_noise: float = 0.3e-3
-    tension_share: float = 0.05
     tension_change: float = 0.5
-    tension_weight: float = 1.0
-    swing_share: float = 1.0
-    swing_time: float = 2.0
     length_bias: float = 5e-3
     length_walk: float = 0.01
     center_of_mass_prior: float = 0.01
     gate: float = 0.9999
     reading_jump: float = 0.05
-    reject_time: float = 0.1
     misfit_time: float = 1.5
-    rest_window: float = 1.0
-    rest_length: float = 3e-3
     rest_rate: float = 0.02
     rest_force: float = 0.1
-    rest_period: float = 0.5
-    rest_position: float = 3e-3
-    rest_rotation: float = 5e-3
     sway: float = 0.15
-    initial_sway: float = 0.01
-    sway_position: float = 0.02
-    sway_rotation: float = 0.05
 
     def __post_init__(self) -> None:
         """Refuse unknown couplings and numbers out of range; freeze the mounting of the IMU."""
@@ -116,8 +85,8 @@ class KsEkfSettings:
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
         check_rotations("imu_rotation", self.imu_rotation[None])
         check_fraction("gate", self.gate)
-        numbers = [entry.name for entry in fields(self) if entry.name not in CHECKED_APART]
+        numbers = [entry.name for entry in fields(self) if entry.name not in FIELDS_CHECKED_APART]
         check_fields(
-            self, not_negative=MAY_BE_ZERO,
-            positive=[name for name in numbers if name not in MAY_BE_ZERO],
+            self, not_negative=FIELDS_MAY_BE_ZERO,
+            positive=[name for name in numbers if name not in FIELDS_MAY_BE_ZERO],
         )  # fmt: skip

@@ -7,23 +7,25 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from baselines.mpc.agreement import Agreement
-from baselines.mpc.fallback import Rest
+from baselines.mpc.belief_gate import BeliefGate
+from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
-from baselines.mpc.observer import Observer, Start
+from baselines.mpc.observer import BELIEF_GATE_M, Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.target import Targets
-from baselines.mpc.unknown_load import Motion
+from baselines.mpc.target_reader import TargetReader
+from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.robot import Robot
 
-SOFTENED = 0.01  # share of a limit beyond which a plan counts as softened
+SOFTENED_RATIO = 0.01  # of a limit, by which a plan must exceed it to count as softened
+SHIFTED_STEPS_MAX = 5  # for which the last plan goes on after a failure: longer, it runs away
+EXCESS_TIME_S = 0.3  # in which sag and stretch of a plan reach the command: shorter shakes cables
 
 
 class NoStart(CarosacError):
@@ -52,9 +54,9 @@ class Mpc:
         self._planner = Planner(robot, settings)
         self._observer = Observer(robot, settings)
         self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
-        self._targets = Targets(robot, self._planner.grid)
-        self._rest = Rest(robot)
-        self._agreement = Agreement(settings.belief_gate, settings.period)
+        self._targets = TargetReader(robot, self._planner.grid)
+        self._rest = RestFallback(robot)
+        self._agreement = BeliefGate(settings.period)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
@@ -96,7 +98,7 @@ class Mpc:
         self._ready = True
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths for the next period.
+        """Return the lengths for the next period.
 
         Raises:
             InvalidField: A batch of several robots, or no reset before.
@@ -111,7 +113,7 @@ class Mpc:
             within=self._agreement.within(self._resting), stuck=self._agreement.stuck,
         )  # fmt: skip
         self._agreement.update(start.distance, resting=self._resting, still=self._winches.at_rest)
-        if start.distance <= self._settings.belief_gate:
+        if start.distance <= BELIEF_GATE_M:
             self._place = start.position
         plan = self._solve(start, reference, now)
         if plan is None:
@@ -127,8 +129,8 @@ class Mpc:
         self.record.no_rest = self._targets.no_rest
         return Command(time=belief.time, unstrained_length=lengths[None])
 
-    def _solve(self, start: Start, reference: Reference, now: float) -> Plan | None:
-        """A plan from here, or None with the reason in the record."""
+    def _solve(self, start: PlanStart, reference: Reference, now: float) -> Plan | None:
+        """Make a plan from here, or return None with the reason in the record."""
         self.record.reason = ""
         if not np.isfinite(start.distance) or not start.geometry.valid:
             self._fail("geometry", "a believed pose that cables cannot reach")
@@ -140,28 +142,28 @@ class Mpc:
         wanted = self._targets.read(reference)
         target = self._targets.nearer(wanted, start.position)
         self.record.approached += target is not wanted
-        found = self._planner.improve(
+        improved = self._planner.improve(
             start, target, time=now, load=self._observer.load,
             acceleration=self._winches.acceleration_range(),
             offset=self._excess + self._observer.surplus,
         )  # fmt: skip
         self.record.solve_time = time.perf_counter() - began
         self.record.solves += 1
-        if found is None:
+        if improved is None:
             self._fail("no solution", "the quadratic program has no solution")
             return None
         budget = self._settings.time_budget
         if budget is not None and self.record.solve_time > budget:
             self._fail("late", f"{self.record.solve_time:.4f} s; allowed: {budget} s")
             return None
-        plan, slack = found
-        self.record.softened += slack > SOFTENED
+        plan, slack = improved
+        self.record.softened += slack > SOFTENED_RATIO
         return plan
 
     @property
     def _resting(self) -> bool:
-        """Whether the last plan was given up, so that the platform is being brought to rest."""
-        return self._failed > self._settings.shifted_steps
+        """True if the last plan was given up, so that the platform is being brought to rest."""
+        return self._failed > SHIFTED_STEPS_MAX
 
     def _fail(self, kind: str, words: str) -> None:
         """Count a failure."""
@@ -169,14 +171,14 @@ class Mpc:
         self.record.reason = f"{kind}: {words}"
 
     def _follow(self, plan: Plan) -> Array:
-        """The command that leads to the plan's next state."""
+        """Return the command that leads to the plan's next state."""
         before, state = plan.state[:2]
         position, rotation = pose_of(state, plan.rotation)
         geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
         self._observer.predict(
-            Start(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
+            PlanStart(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
                   distance=0.0),
-            Motion.of(
+            PlannedMotion.of(
                 self._robot, geometry, plan.tension[0],
                 rotation=pose_of(before, plan.rotation)[1], spin=before[9:],
                 spin_rate=(state[9:] - before[9:]) / self.period,
@@ -186,7 +188,7 @@ class Mpc:
         return self._winches.follow(length, geometry.jacobian @ state[6:])
 
     def _fall_back(self, now: float) -> Array:
-        """The command after a failure: the last plan for some steps, then rest."""
+        """Return the command after a failure: the last plan for some steps, then rest."""
         self._failed += 1
         old = self._planner.plan
         if old is not None and not self._resting:
@@ -195,17 +197,17 @@ class Mpc:
             position, rotation = pose_of(states[0], old.rotation)
             geometry = geometry_at(self._robot, position, rotation)
             self._observer.predict(
-                Start(position=position, rotation=rotation, twist=states[0, 6:],
+                PlanStart(position=position, rotation=rotation, twist=states[0, 6:],
                       geometry=geometry, distance=0.0)
             )  # fmt: skip
             rate = geometry.jacobian @ states[0, 6:]
             return self._winches.accelerate((rate - self._winches.rate) / self.period)
         self._planner.reset()
         self._observer.forget()
-        acceleration, found = self._rest.acceleration(
+        acceleration, has_goal = self._rest.acceleration(
             self._place, self._winches.length, self._winches.rate, self._observer.kept
         )
-        self.record.fallbacks["to rest" if found else "hold"] += 1
+        self.record.fallbacks["to rest" if has_goal else "hold"] += 1
         return self._winches.accelerate(acceleration)
 
     def _update_excess(
@@ -220,8 +222,8 @@ class Mpc:
         return geometry
 
     def _share(self) -> float:
-        """Share of a new sag that counts at once."""
-        return float(1.0 - np.exp(-self.period / self._settings.excess_time))
+        """Return the share of a new sag that counts at once."""
+        return float(1.0 - np.exp(-self.period / EXCESS_TIME_S))
 
 
 def _check_one(belief: Belief) -> None:

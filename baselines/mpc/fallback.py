@@ -8,12 +8,13 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-PULL = 2.0  # [1/s]: rate at which the lengths approach those of rest
-SHARE = 0.5  # of the winches' acceleration that is used
-REACH = 3.0  # [m]: lengths of rest that are farther away are not near
+REST_APPROACH_RATE_PER_S = 2.0  # at which the lengths approach those of rest
+ACCELERATION_SHARE_MAX = 0.5  # of the winches' acceleration that is used
+SPEED_SHARE_MAX = 0.2  # of their speed
+REST_DISTANCE_MAX_M = 3.0  # lengths of rest that are farther away are not near
 
 
-class Rest:
+class RestFallback:
     """Leads the lengths to those of the catenary equilibrium at the position first believed."""
 
     def __init__(self, robot: Robot) -> None:
@@ -28,7 +29,7 @@ class Rest:
     def acceleration(
         self, position: Array, length: Array, rate: Array, offset: Array
     ) -> tuple[Array, bool]:
-        """Acceleration of the lengths now, critically damped, within half of the limits.
+        """Return the acceleration of the lengths now, critically damped and limited.
 
         Args:
             position: Platform origin in W last believed [m], shape (3,); its first value since
@@ -44,21 +45,21 @@ class Rest:
         if not self._asked:
             self._asked = True
             self._goal = self._rest_near(position, length, offset)
-        most = SHARE * self._robot.acceleration_max
+        most = ACCELERATION_SHARE_MAX * self._robot.acceleration_max
         if self._goal is None:
-            wanted = -PULL * PULL * rate
+            wanted = -REST_APPROACH_RATE_PER_S * REST_APPROACH_RATE_PER_S * rate
         else:
-            slow = np.clip(PULL * (self._goal - length), -0.2 * self._robot.speed_max,
-                           0.2 * self._robot.speed_max)  # fmt: skip
-            wanted = 2.0 * PULL * (slow - rate)
+            fastest = SPEED_SHARE_MAX * self._robot.speed_max
+            slow = np.clip(REST_APPROACH_RATE_PER_S * (self._goal - length), -fastest, fastest)
+            wanted = 2.0 * REST_APPROACH_RATE_PER_S * (slow - rate)
         return np.clip(wanted, -most, most), self._goal is not None
 
     def _rest_near(self, position: Array, length: Array, offset: Array) -> Array | None:
-        """Lengths of rest, if there are any within reach."""
+        """Return the lengths of rest, if there are any within reach."""
         robot = self._robot
         inside = np.clip(position, robot.workspace_min, robot.workspace_max)
         rest = statics.inverse_kinematics(robot, inside[None])
         if not (rest.converged[0] and rest.in_winch_range[0].all()):
             return None
         goal = rest.unstrained_length[0] + offset
-        return goal if np.abs(goal - length).max() < REACH else None
+        return goal if np.abs(goal - length).max() < REST_DISTANCE_MAX_M else None

@@ -34,7 +34,7 @@ class Geometry:
 
 
 def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:
-    """Straight cables at a pose.
+    """Return straight cables at a pose.
 
     Args:
         robot: Robot description, n cables.
@@ -58,7 +58,7 @@ def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:
 def excess_at(
     robot: Robot, position: Array, rotation: Array, tension: Array, geometry: Geometry
 ) -> Array:
-    """By how much the unstrained cables are longer than straight ones: sag less stretch [m].
+    """Return what unstrained cables have beyond straight ones: sag less stretch [m].
 
     Args:
         robot: Robot description, n cables.
@@ -73,5 +73,5 @@ def excess_at(
     pull = -tension[:, None] * geometry.direction
     pull[:, 2] -= 0.5 * robot.weight_per_length * geometry.free
     at_platform = np.linalg.norm(pull, axis=1)
-    found = length_at_tension(robot, position[None], rotation[None], at_platform[None])
-    return np.asarray(found.unstrained_length[0] - geometry.length)
+    cables = length_at_tension(robot, position[None], rotation[None], at_platform[None])
+    return np.asarray(cables.unstrained_length[0] - geometry.length)

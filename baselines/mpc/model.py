@@ -28,12 +28,12 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 
-STATES = 12
-PATH = 3  # kinds of quantities that limits are on: length, its rate, its acceleration
+STATE_SIZE = 12
+PATH_QUANTITIES = 3  # kinds of quantities that limits are on: length, its rate, its acceleration
 
 
 def parameter_names(n: int) -> dict[str, int]:
-    """Size of each block of the parameter vector, in order."""
+    """Return the size of each block of the parameter vector, in order."""
     return {
         "mass": 1, "center": 3, "inertia": 9, "inverse_inertia": 9, "weight": 1, "hang": 3,
         "drag": 1, "angular_drag": 1, "rotation": 9, "disturbance": 6,
@@ -44,7 +44,7 @@ def parameter_names(n: int) -> dict[str, int]:
 def parameters(
     robot: Robot, *, rotation: Array, length: Array, exits: Array, disturbance: Array
 ) -> Array:
-    """The robot as numbers for the model.
+    """Return the robot as the parameter vector of the model.
 
     Args:
         robot: Robot description, n cables.
@@ -66,7 +66,7 @@ def parameters(
 
 
 def moving_body(robot: Robot, length: Array) -> RigidBody:
-    """The platform with a third of each cable, of lengths [m], shape (n,), at its anchor point."""
+    """Combine the platform with a third of each cable (n,) [m] at its anchor point."""
     riding = robot.linear_density * length / 3.0
     points = [
         RigidBody(float(m), b, np.zeros((3, 3)))
@@ -76,7 +76,7 @@ def moving_body(robot: Robot, length: Array) -> RigidBody:
 
 
 def rotation_of(s: Array) -> Array:
-    """Rotation matrix of modified Rodrigues parameters, shape (3,) to (3, 3)."""
+    """Return the rotation matrix of modified Rodrigues parameters, shape (3,) to (3, 3)."""
     square = float(s @ s)
     cross = np.array([[0.0, -s[2], s[1]], [s[2], 0.0, -s[0]], [-s[1], s[0], 0.0]])
     turn = 8.0 * cross @ cross + 4.0 * (1.0 - square) * cross
@@ -84,7 +84,7 @@ def rotation_of(s: Array) -> Array:
 
 
 def parameters_of(rotation: Array) -> Array:
-    """Modified Rodrigues parameters of a rotation matrix, |s| <= 1, shape (3, 3) to (3,)."""
+    """Return the modified Rodrigues parameters of a rotation matrix, |s| <= 1, shape (3,)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_mrp())
@@ -92,13 +92,13 @@ def parameters_of(rotation: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def continuous(n: int) -> Any:
-    """CasADi function (x, u, p) -> (dx/dt, its Jacobians, path, its Jacobians).
+    """Build the CasADi function (x, u, p) -> (dx/dt, its Jacobians, path, its Jacobians).
 
     The path is [length; rate; acceleration] of the n cables, straight and unstrained.
     """
     import casadi as ca
 
-    x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", n)
+    x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", n)
     sizes = parameter_names(n)
     p = ca.SX.sym("p", sum(sizes.values()))
     block = dict(zip(sizes, ca.vertsplit(p, np.cumsum([0, *sizes.values()]).tolist()), strict=True))
@@ -112,7 +112,7 @@ def continuous(n: int) -> Any:
 
 
 def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any], Any]:
-    """Newton and Euler; also the arms of the anchor points and the wrench at the origin."""
+    """Return Newton-Euler rates, arms of the anchor points, and the wrench at the origin."""
     position, s, v, w = ca.vertsplit(x, 3)
     cross = ca.skew(s)
     square = ca.dot(s, s)
@@ -142,7 +142,7 @@ def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any]
 
 
 def _path(ca: Any, x: Any, rate: Any, arms: list[Any], block: Any, n: int) -> Any:
-    """Length, rate and acceleration of each cable."""
+    """Return length, rate and acceleration of each cable."""
     position, v, w = x[:3], x[6:9], x[9:]
     exits = ca.reshape(block["exits"], 3, n)
     lengths, rates, accelerations = [], [], []
@@ -162,7 +162,7 @@ def _path(ca: Any, x: Any, rate: Any, arms: list[Any], block: Any, n: int) -> An
 
 
 def stage(n: int) -> Any:
-    """CasADi function of one stage: (x, u, p, h) -> (x after h, A, B, path, its Jacobians).
+    """Build the function of one stage: (x, u, p, h) -> (x after h, A, B, path, its Jacobians).
 
     One step of the classical Runge-Kutta method of fourth order under a constant input, with the
     exact Jacobians of that step.
@@ -170,7 +170,7 @@ def stage(n: int) -> Any:
     import casadi as ca
 
     f = continuous(n)
-    x, u = ca.MX.sym("x", STATES), ca.MX.sym("u", n)
+    x, u = ca.MX.sym("x", STATE_SIZE), ca.MX.sym("u", n)
     p, h = ca.MX.sym("p", f.size1_in(2)), ca.MX.sym("h")
     rate, a, b, *path = f(x, u, p)[:6]
     total, total_x, total_u = rate, a, b
@@ -182,7 +182,7 @@ def stage(n: int) -> Any:
             total + weight * rate, total_x + weight * a, total_u + weight * b,
         )  # fmt: skip
     after = x + h / 6.0 * total
-    outputs = [after, ca.MX.eye(STATES) + h / 6.0 * total_x, h / 6.0 * total_u, *path]
+    outputs = [after, ca.MX.eye(STATE_SIZE) + h / 6.0 * total_x, h / 6.0 * total_u, *path]
     names = ["after", "A", "B", "path", "path_x", "path_u"]
     dense = [ca.densify(value) for value in outputs]
     return ca.Function(f"stage{n}", [x, u, p, h], dense, ["x", "u", "p", "h"], names)
@@ -190,6 +190,6 @@ def stage(n: int) -> Any:
 
 @lru_cache(maxsize=8)
 def interpreted(n: int, stages: int) -> Any:
-    """`stage` for all stages at once, columns side by side, run by CasADi's virtual machine."""
+    """Map `stage` over all stages, columns side by side, for CasADi's virtual machine."""
     one = stage(n)
     return one if stages == 1 else one.map(stages)

@@ -1,4 +1,4 @@
-r"""Where the plan starts: the belief, made to agree with the cable lengths that are known.
+r"""Start of the plan: the belief, made to agree with the cable lengths that are known.
 
 The lengths that the winches have been sent to are known better, and sooner, than any pose: with n
 cables they fix n of the six degrees of freedom (all six if n >= 6). The belief gives the others,
@@ -18,20 +18,24 @@ from scipy.spatial.transform import Rotation
 
 from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.unknown_load import Motion, UnknownLoad
+from baselines.mpc.unknown_load import PlannedMotion, UnknownLoad
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.structure import constrained_motion
 from carosac_toolkit.robot.robot import Robot
 
-STEPS = 5  # of Newton's method
-CLOSE = 1e-6  # [m]: lengths that agree
-SLACK = 0.05  # [m]: a cable that is longer than believed by more is slack
+NEWTON_STEPS_MAX = 5
+LENGTH_TOLERANCE_M = 1e-6  # of Newton's method
+SLACK_EXCESS_M = 0.05  # a cable that is longer than believed by more is slack
+BELIEF_GATE_M = 0.2  # from lengths sent to believed ones: beyond it, cables must be slack
+OFFSET_TIME_S = 0.5  # time constant of offsets: short against a path, long against encoder noise
+OFFSET_MAX_M = 0.1  # what exceeds it is slack, and reeled in
+TWIST_GAIN = 0.2  # share of a position difference that becomes velocity, for beliefs without twist
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
+class PlanStart:
     """Pose and twist now.
 
     Attributes:
@@ -70,12 +74,12 @@ class Observer:
         """Forget everything."""
         self.offset, self.slack = np.zeros((2, self._robot.n))
         self.rebased = 0
-        self._most = np.full(self._robot.n, self._settings.offset_max)
+        self._most = np.full(self._robot.n, OFFSET_MAX_M)
         self.forget()
 
     @property
     def surplus(self) -> Array:
-        """What is sent beyond modelled lengths [m], shape (n,): offset and slack."""
+        """Lengths sent beyond modelled ones [m], shape (n,): offset and slack."""
         return np.asarray(self.offset + self.slack)
 
     @property
@@ -84,20 +88,20 @@ class Observer:
         return np.asarray(np.clip(self.offset, -self._most, self._most))
 
     def forget(self) -> None:
-        """Nothing is planned, and what was learned of the motion may be wrong."""
+        """Drop the prediction, and what was learned of the load, which may be wrong."""
         self.load.reset()
-        self._predicted: Start | None = None
-        self._planned: Motion | None = None
+        self._predicted: PlanStart | None = None
+        self._planned: PlannedMotion | None = None
 
-    def predict(self, start: Start, planned: Motion | None = None) -> None:
+    def predict(self, start: PlanStart, planned: PlannedMotion | None = None) -> None:
         """Keep what the next belief should say, and the motion to it if it was planned just now."""
         self._predicted, self._planned = start, planned
 
     def start(
         self, belief: Belief, length: Array, rate: Array, *, within: float | None = None,
         stuck: bool = False,
-    ) -> Start:  # fmt: skip
-        """Where the platform is.
+    ) -> PlanStart:  # fmt: skip
+        """Return where the platform is, and learn offsets and load on the way.
 
         Args:
             belief: Of one robot.
@@ -114,7 +118,7 @@ class Observer:
         geometry = geometry_at(self._robot, position, rotation)
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)
-        allowed = self._settings.belief_gate if within is None else within
+        allowed = BELIEF_GATE_M if within is None else within
         missing = length - geometry.length  # of the believed pose, before offsets
         distance = float(np.abs(missing - self.kept).max())
         if stuck and distance > allowed:
@@ -122,7 +126,7 @@ class Observer:
             distance = 0.0
         twist = self._twist(belief)
         if distance > allowed:
-            return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+            return PlanStart(position=position, rotation=rotation, twist=twist, geometry=geometry,
                          distance=distance)  # fmt: skip
         self._learn_lengths(missing)
         if not self.slack.any():
@@ -134,7 +138,7 @@ class Observer:
             return _nowhere(position, rotation, geometry)
         motion = self._motion(geometry, rotation)
         twist = twist + motion @ (rate - geometry.jacobian @ twist)
-        return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+        return PlanStart(position=position, rotation=rotation, twist=twist, geometry=geometry,
                      distance=distance)  # fmt: skip
 
     def _rebase(self, missing: Array) -> None:
@@ -145,18 +149,18 @@ class Observer:
         self.rebased += 1
 
     def _motion(self, geometry: Geometry, rotation: Array) -> Array:
-        """Motion of least energy per length of the cables, shape (6, n)."""
+        """Return the motion of least energy per length of the cables, shape (6, n)."""
         return constrained_motion(self._mass(geometry, rotation), geometry.jacobian)
 
     def _mass(self, geometry: Geometry, rotation: Array) -> Array:
-        """Mass matrix, shape (6, 6)."""
+        """Return the mass matrix, shape (6, 6)."""
         mass = mass_matrix(self.load.robot, rotation[None], geometry.length[None])
         return np.asarray(mass[0])
 
     def _onto(
         self, length: Array, position: Array, rotation: Array, geometry: Geometry
     ) -> tuple[Array, Array, Geometry]:
-        """The nearest pose at which the cables have the lengths, by Newton's method.
+        """Find the nearest pose at which the cables have given lengths, by Newton's method.
 
         One step is not enough: a tenth of a millimetre that is left over at every command is paid
         out as speed that no plan has asked for.
@@ -170,9 +174,9 @@ class Observer:
         Returns:
             Position, rotation and geometry there.
         """
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS_MAX):
             step = self._motion(geometry, rotation) @ (length - geometry.length)
-            if np.abs(geometry.jacobian @ step).max() < CLOSE:
+            if np.abs(geometry.jacobian @ step).max() < LENGTH_TOLERANCE_M:
                 break
             position = position + step[:3]
             rotation = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
@@ -187,16 +191,16 @@ class Observer:
         A slack cable is longer than its chord, and says nothing about where the platform is. Were
         that an offset, it would be sent for ever, and the cable would stay slack.
         """
-        share = self._settings.period / self._settings.offset_time
-        self._most = self._most + share * (self._settings.offset_max - self._most)
+        share = self._settings.period / OFFSET_TIME_S
+        self._most = self._most + share * (OFFSET_MAX_M - self._most)
         error = missing - self.offset
-        near = np.clip(error, -SLACK, SLACK)
+        near = np.clip(error, -SLACK_EXCESS_M, SLACK_EXCESS_M)
         self.slack = (1.0 - share) * (error - near)
         self.offset = self.offset + share * near
         self.offset = self.offset + share * (self.kept - self.offset)
 
     def _twist(self, belief: Belief) -> Array:
-        """Believed twist; without one, the prediction and a share of how the pose differs."""
+        """Return the believed twist; without one, the prediction corrected by the pose."""
         if belief.twist is not None:
             return np.asarray(belief.twist[0])
         before = self._predicted
@@ -204,7 +208,7 @@ class Observer:
             return np.zeros(6)
         turn = Rotation.from_matrix(belief.rotation[0] @ before.rotation.T).as_rotvec()
         difference = np.concatenate([belief.position[0] - before.position, turn])
-        share = self._settings.twist_gain / self._settings.period
+        share = TWIST_GAIN / self._settings.period
         return np.asarray(before.twist + share * difference)
 
     def _learn(self, belief: Belief, twist: Array, geometry: Geometry, rotation: Array) -> None:
@@ -220,12 +224,12 @@ class Observer:
 
 
 def _sound(geometry: Geometry) -> bool:
-    """Whether all cables exist."""
+    """Return whether all cables exist."""
     return geometry.valid and bool(np.isfinite(geometry.jacobian).all())
 
 
-def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> Start:
-    """A start that no plan can begin at."""
-    return Start(
+def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> PlanStart:
+    """Return a start that no plan can begin at."""
+    return PlanStart(
         position=position, rotation=rotation, twist=np.zeros(6), geometry=geometry, distance=np.inf
     )

@@ -12,7 +12,7 @@ from carosac_toolkit.base.arrays import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What the platform should do over N stages.
+    """Planned states and tensions over N stages.
 
     Attributes:
         time: Of the states [s], shape (N + 1,).
@@ -27,7 +27,7 @@ class Plan:
     rotation: Array
 
     def shifted(self, time: Array) -> tuple[Array, Array]:
-        """States at other times, and tensions of the stages between them; the last ones stay.
+        """Return states at other times, and the tensions between them; the last ones stay.
 
         Args:
             time: [s], shape (N + 1,).
@@ -41,7 +41,7 @@ class Plan:
         return np.stack(columns, axis=1), self.tension[stage]
 
     def turned(self, rotation: Array) -> Plan:
-        """The same plan about another R_0."""
+        """Return the same plan about another R_0."""
         state = self.state.copy()
         for row in state:
             turn = model.rotation_of(row[3:6]) @ self.rotation
@@ -50,5 +50,5 @@ class Plan:
 
 
 def pose_of(state: Array, rotation: Array) -> tuple[Array, Array]:
-    """Position (3,) and rotation (3, 3) of a state about R_0."""
+    """Return position (3,) and rotation (3, 3) of a state about R_0."""
     return state[:3], model.rotation_of(state[3:6]) @ rotation

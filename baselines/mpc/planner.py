@@ -7,26 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.mpc import model
-from baselines.mpc.observer import Start
+from baselines.mpc.observer import OFFSET_TIME_S, PlanStart
 from baselines.mpc.plan import Plan
-from baselines.mpc.quadratic_program import FAR, QuadraticProgram
+from baselines.mpc.quadratic_program import NO_LIMIT, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
 from baselines.mpc.unknown_load import UnknownLoad
-from baselines.mpc.winch_reference import Range
+from baselines.mpc.winch_reference import WinchRange
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-COLD = 3  # iterations where there is no plan to start from
-TURN = 0.35  # of the Rodrigues parameters: beyond it (80 degrees) R_0 moves along
-STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it is none
-HALF = 0.5  # of the tension of rest: the plan can go down to it at least
-LENGTH_SCALE = 1.0  # [m]: excess of a length that counts like that of a full limit
+COLD_START_ITERATIONS = 3  # where there is no plan to start from
+RODRIGUES_NORM_MAX = 0.35  # beyond it (80 degrees) R_0 moves along
+STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it has diverged
+REST_TENSION_RATIO_MIN = 0.5  # the plan can always go down to this share of the tension of rest
+TAUT_TENSION_CABLE_WEIGHTS = 4.0  # below it, sag changes a length more than motion does
+LENGTH_EXCESS_SCALE_M = 1.0  # counts like exceeding a speed limit by all of it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Target:
-    """What the platform should do at the N + 1 times of a plan.
+class PlanTarget:
+    """Target of the platform at the N + 1 times of a plan.
 
     Attributes:
         position: Platform origin in W [m], shape (N + 1, 3).
@@ -71,7 +72,7 @@ class Planner:
         self._duration = np.array([settings.period, *[rest] * (stages - 1)])
         self.grid = np.concatenate([[0.0], np.cumsum(self._duration)])
         self.stage = StageFunction(n, stages, settings.compiled)
-        self._program = QuadraticProgram(stages, model.STATES, n, model.PATH * n)
+        self._program = QuadraticProgram(stages, model.STATE_SIZE, n, model.PATH_QUANTITIES * n)
         self._unit = 0.5 * robot.weight / min(n, 4)  # [N], scale of the tensions
         held = settings.attitude_weight if n >= 6 else 0.0
         weights = settings.position_weight, held, settings.velocity_weight, settings.spin_weight
@@ -85,8 +86,8 @@ class Planner:
         self._habit = np.zeros(self._robot.n)
 
     def improve(
-        self, start: Start, target: Target, *, time: float, load: UnknownLoad,
-        acceleration: Range, offset: Array,
+        self, start: PlanStart, target: PlanTarget, *, time: float, load: UnknownLoad,
+        acceleration: WinchRange, offset: Array,
     ) -> tuple[Plan, float] | None:  # fmt: skip
         """Make a plan from where the platform is.
 
@@ -103,31 +104,31 @@ class Planner:
         """
         cold = self.plan is None
         plan = self._guess(start, target, time)
-        for _ in range(COLD if cold else 1):
+        for _ in range(COLD_START_ITERATIONS if cold else 1):
             self._linearise(plan, start, load)
-            found = self._correct(plan, target, acceleration, offset)
-            if found is None:
+            corrected = self._correct(plan, target, acceleration, offset)
+            if corrected is None:
                 return None
-            plan, slack = found
+            plan, slack = corrected
         if self._robot.n < 6:
-            share = self._settings.period / self._settings.offset_time
+            share = self._settings.period / OFFSET_TIME_S
             now = plan.tension[0] - target.tension[0]
             self._habit = self._habit + share * (now - self._habit)
         return plan, slack
 
-    def _guess(self, start: Start, target: Target, time: float) -> Plan:
-        """The last plan, shifted to now, with the first state replaced."""
+    def _guess(self, start: PlanStart, target: PlanTarget, time: float) -> Plan:
+        """Return the last plan, shifted to now, with the first state replaced."""
         when = time + self.grid
         old = self.plan
         if old is None:
             rotation = start.rotation
-            state = np.zeros((len(when), model.STATES))
+            state = np.zeros((len(when), model.STATE_SIZE))
             state[:, :3] = start.position
             rest = np.broadcast_to(target.tension[0], target.tension.shape)
             tension = np.clip(rest, self._robot.tension_min, self._robot.tension_max)
         else:
             s = model.parameters_of(start.rotation @ old.rotation.T)
-            old = old.turned(start.rotation) if s @ s > TURN**2 else old
+            old = old.turned(start.rotation) if s @ s > RODRIGUES_NORM_MAX**2 else old
             rotation = old.rotation
             state, tension = old.shifted(when)
         state[0, :3] = start.position
@@ -135,7 +136,7 @@ class Planner:
         state[0, 6:] = start.twist
         return Plan(time=when, state=state, tension=tension, rotation=rotation)
 
-    def _linearise(self, plan: Plan, start: Start, load: UnknownLoad) -> None:
+    def _linearise(self, plan: Plan, start: PlanStart, load: UnknownLoad) -> None:
         """Evaluate the stage function along the plan."""
         stage, geometry = self.stage, start.geometry
         stage.state[:] = plan.state[:-1]
@@ -148,14 +149,14 @@ class Planner:
         stage()
         self._hanging = self._robot.weight_per_length * geometry.free
 
-    def _least(self, target: Target) -> Array:
-        """Tensions at which cables are still taut [N], shape (N, n)."""
-        half = HALF * target.tension
-        taut = half if target.calm else np.minimum(self._settings.taut * self._hanging, half)
+    def _least(self, target: PlanTarget) -> Array:
+        """Return the tensions at which cables are still taut [N], shape (N, n)."""
+        half = REST_TENSION_RATIO_MIN * target.tension
+        taut = half if target.calm else np.minimum(TAUT_TENSION_CABLE_WEIGHTS * self._hanging, half)
         return np.maximum(self._robot.tension_min, taut)
 
     def _correct(
-        self, plan: Plan, target: Target, acceleration: Range, offset: Array
+        self, plan: Plan, target: PlanTarget, acceleration: WinchRange, offset: Array
     ) -> tuple[Plan, float] | None:
         """Solve for the best change of the plan."""
         stage, settings, n = self.stage, self._settings, self._robot.n
@@ -166,16 +167,15 @@ class Planner:
             share * np.full((settings.stages, n), settings.tension_weight),
         ])  # fmt: skip
         surplus = (plan.tension - target.tension - self._habit) / self._unit
-        end = settings.end_factor * self._weight
         step = self._program.solve(
             hessian=cost, gradient=cost * np.hstack([error[:-1], surplus]),
-            end=np.stack([end, end * error[-1]]),
+            end=np.stack([self._weight, self._weight * error[-1]]),
             dynamics=(stage.by_state, self._unit * stage.by_tension,
                       stage.after - plan.state[1:]),
             bounds=((self._least(target) - plan.tension) / self._unit,
                     (self._robot.tension_max - plan.tension) / self._unit),
             rows=self._rows(acceleration, offset), price=settings.limit_weight,
-            start=np.zeros(model.STATES),
+            start=np.zeros(model.STATE_SIZE),
         )  # fmt: skip
         if not step.solved:
             return None
@@ -185,8 +185,8 @@ class Planner:
         sound = np.abs(better.state).max() < STATE_MAX and np.abs(better.state[:, 3:6]).max() < 1.0
         return (better, float(step.slack.max())) if sound else None
 
-    def _error(self, plan: Plan, target: Target) -> Array:
-        """State minus target; no attitude where it is free."""
+    def _error(self, plan: Plan, target: PlanTarget) -> Array:
+        """Return state minus target; no attitude error where it is free."""
         error = plan.state.copy()
         error[:, :3] -= target.position
         error[:, 6:9] -= target.velocity
@@ -195,17 +195,19 @@ class Planner:
                 row[3:6] -= model.parameters_of(wanted @ plan.rotation.T)
         return error
 
-    def _rows(self, acceleration: Range, offset: Array) -> tuple[Array, Array, Array]:
-        """Limits on length, rate and acceleration of the cables, in shares of themselves."""
+    def _rows(self, acceleration: WinchRange, offset: Array) -> tuple[Array, Array, Array]:
+        """Return scaled limits on length, rate and acceleration of the cables."""
         robot, stage, share = self._robot, self.stage, self._settings.limit_share
         n, stages = robot.n, self._settings.stages
         speed, most = share * robot.speed_max, share * robot.acceleration_max
-        scale = np.concatenate([np.full(n, LENGTH_SCALE), robot.speed_max, robot.acceleration_max])
+        scale = np.concatenate(
+            [np.full(n, LENGTH_EXCESS_SCALE_M), robot.speed_max, robot.acceleration_max]
+        )
         low = np.tile(np.concatenate([robot.length_min - offset, -speed, -most]), (stages, 1))
         high = np.tile(np.concatenate([robot.length_max - offset, speed, most]), (stages, 1))
         low[0, 2 * n :] = acceleration.low
         high[0, 2 * n :] = acceleration.high
         low, high = (low - stage.path) / scale, (high - stage.path) / scale
-        low[0, : 2 * n], high[0, : 2 * n] = -FAR, FAR  # now: nothing can change them
+        low[0, : 2 * n], high[0, : 2 * n] = -NO_LIMIT, NO_LIMIT  # now: nothing can change them
         matrix = np.concatenate([stage.path_by_state, self._unit * stage.path_by_tension], axis=2)
         return matrix / scale[:, None], low, high

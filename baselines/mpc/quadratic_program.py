@@ -22,16 +22,16 @@ from scipy import sparse
 
 from carosac_toolkit.base.arrays import Array
 
-FAR = 1e4  # stands for no limit on a scaled row
-GAP = 1e-5  # of the dynamics in a solution: more is none
-OPTIONS = {
+NO_LIMIT = 1e4  # stands for no limit on a scaled row
+DYNAMICS_GAP_MAX = 1e-5  # of the dynamics in a solution: more is none
+HPIPM_OPTIONS = {
     "iter_max": 50, "mode": "balance",
     "res_g_max": 1e-4, "res_b_max": 1e-7, "res_d_max": 1e-6, "res_m_max": 1e-5,
 }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """Solution of the program.
 
     Attributes:
@@ -61,7 +61,7 @@ class QuadraticProgram:
         options: dict[str, Any] = {
             "error_on_fail": False, "print_time": False, "N": stages,
             "nx": [states] * (stages + 1), "nu": [n + 1] * stages + [0],
-            "ng": [2 * rows] * stages + [0], "hpipm": OPTIONS,
+            "ng": [2 * rows] * stages + [0], "hpipm": HPIPM_OPTIONS,
         }  # fmt: skip
         self._solver: Any = ca.conic("step", "hpipm", {"h": _sparsity(ca, h_map),
                                                   "a": _sparsity(ca, a_map)}, options)  # fmt: skip
@@ -70,7 +70,7 @@ class QuadraticProgram:
     def solve(
         self, *, hessian: Array, gradient: Array, end: Array, dynamics: tuple[Array, Array, Array],
         bounds: tuple[Array, Array], rows: tuple[Array, Array, Array], price: float, start: Array,
-    ) -> Step:  # fmt: skip
+    ) -> GaussNewtonStep:  # fmt: skip
         """Solve.
 
         Args:
@@ -96,11 +96,11 @@ class QuadraticProgram:
         try:
             self._evaluate()
         except RuntimeError:  # the solver refuses numbers that are not finite
-            return Step(solved=False, state=np.zeros((stages + 1, states)),
+            return GaussNewtonStep(solved=False, state=np.zeros((stages + 1, states)),
                         tension=np.zeros((stages, n)), slack=np.zeros(stages))  # fmt: skip
         return self._read(dynamics)
 
-    def _read(self, dynamics: tuple[Array, Array, Array]) -> Step:
+    def _read(self, dynamics: tuple[Array, Array, Array]) -> GaussNewtonStep:
         """Take the solution and look whether it is one."""
         stages, states, n, _ = self._sizes
         a, b, c = dynamics
@@ -110,11 +110,11 @@ class QuadraticProgram:
         solved = bool(np.isfinite(self._out).all()) and bool(self._buffer.stats()["success"])
         if solved:
             follow = np.einsum("kij,kj->ki", a, x[:-1]) + np.einsum("kij,kj->ki", b, u) + c
-            solved = bool(np.abs(follow - x[1:]).max() < GAP)
-        return Step(solved=solved, state=x, tension=u, slack=slack)
+            solved = bool(np.abs(follow - x[1:]).max() < DYNAMICS_GAP_MAX)
+        return GaussNewtonStep(solved=solved, state=x, tension=u, slack=slack)
 
     def _fill_cost(self, hessian: Array, gradient: Array, end: Array, price: float) -> None:
-        """Hessian and gradient, the slack among them."""
+        """Fill Hessian and gradient, with those of the slack."""
         stages, states, n, _ = self._sizes
         for name, values, last in (("h", hessian, end[0]), ("g", gradient, end[1])):
             block = self._in[name][: stages * self._width].reshape(stages, self._width)
@@ -125,7 +125,7 @@ class QuadraticProgram:
     def _fill_constraints(
         self, dynamics: tuple[Array, Array, Array], rows: tuple[Array, Array, Array]
     ) -> None:
-        """Dynamics, then the soft rows, stage by stage."""
+        """Fill in the dynamics, then the soft rows, stage by stage."""
         stages, states, _, count = self._sizes
         a, b, c = dynamics
         matrix, low, high = rows
@@ -138,10 +138,10 @@ class QuadraticProgram:
         self._in["a"][:] = values[self._a_order]
         lower, upper = (self._in[k].reshape(stages, -1) for k in ("lba", "uba"))
         lower[:, :states] = upper[:, :states] = -c
-        lower[:, states : states + count] = -FAR
-        upper[:, states : states + count] = np.clip(high, -FAR, FAR)
-        lower[:, states + count :] = np.clip(low, -FAR, FAR)
-        upper[:, states + count :] = FAR
+        lower[:, states : states + count] = -NO_LIMIT
+        upper[:, states : states + count] = np.clip(high, -NO_LIMIT, NO_LIMIT)
+        lower[:, states + count :] = np.clip(low, -NO_LIMIT, NO_LIMIT)
+        upper[:, states + count :] = NO_LIMIT
 
     def _buffers(self) -> None:
         """Give the solver arrays for all that goes in and comes out."""
@@ -163,7 +163,7 @@ class QuadraticProgram:
 def _constraint_pattern(
     stages: int, states: int, n: int, rows: int
 ) -> tuple[Any, np.ndarray[Any, np.dtype[np.int64]]]:
-    """Where the values of `_fill_constraints` are, and in which order the solver wants them."""
+    """Return where `_fill_constraints` puts its values, and the solver's order of them."""
     width, height = states + n + 1, states + 2 * rows
     inner = [
         *((i, j) for i in range(states) for j in range(states + n)),
@@ -180,12 +180,12 @@ def _constraint_pattern(
 
 
 def _cost_pattern(stages: int, states: int, n: int) -> Any:
-    """A diagonal."""
+    """Return the pattern of a diagonal Hessian."""
     size = stages * (states + n + 1) + states
     return sparse.coo_matrix((np.ones(size), (np.arange(size), np.arange(size))), (size, size))
 
 
 def _sparsity(ca: Any, matrix: Any) -> Any:
-    """CasADi's word for where the entries are."""
+    """Convert a pattern to CasADi's sparsity."""
     rows, columns = matrix.row.tolist(), matrix.col.tolist()
     return ca.Sparsity.triplet(*matrix.shape, rows, columns)

@@ -1,4 +1,4 @@
-"""What the model predictive controller tells about its solves."""
+"""Counts of the model predictive controller about its solves."""
 
 from __future__ import annotations
 

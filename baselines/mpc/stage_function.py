@@ -18,9 +18,9 @@ from baselines.mpc import model
 from baselines.mpc.settings import Compiled
 from carosac_toolkit.base.errors import CarosacError
 
-FLAGS = ("-O1", "-fPIC", "-shared")
-COMPILERS = ("cc", "gcc", "clang")
-TIMEOUT = 300.0  # [s]
+COMPILER_FLAGS = ("-O1", "-fPIC", "-shared")
+COMPILER_NAMES = ("cc", "gcc", "clang")
+COMPILE_TIMEOUT_S = 300.0
 
 
 class CompileError(CarosacError):
@@ -60,7 +60,7 @@ class StageFunction:
         """
         function, self.reason = _function(n, stages, compiled)
         self.compiled = not self.reason
-        size, rows = model.STATES, model.PATH * n
+        size, rows = model.STATE_SIZE, model.PATH_QUANTITIES * n
         count = sum(model.parameter_names(n).values())
         self.state, self.tension = np.zeros((stages, size)), np.zeros((stages, n))
         self.parameters, self.duration = np.zeros((stages, count)), np.zeros(stages)
@@ -82,7 +82,7 @@ class StageFunction:
 
 
 def cache_folder() -> Path:
-    """Where compiled code is kept: ``CAROSAC_CACHE``, else the user's cache folder."""
+    """Return where compiled code is kept: ``CAROSAC_CACHE``, else the user's cache folder."""
     own = os.environ.get("CAROSAC_CACHE")
     if own:
         return Path(own)
@@ -91,7 +91,7 @@ def cache_folder() -> Path:
 
 @lru_cache(maxsize=16)
 def _function(n: int, stages: int, compiled: Compiled) -> tuple[Any, str]:
-    """The function, and why it is not compiled."""
+    """Return the function, and why it is not compiled."""
     function = model.interpreted(n, stages)
     if compiled == "never":
         return function, "setting"
@@ -107,15 +107,15 @@ def _compiled(function: Any) -> Any:
     """Load the function's machine code; make it first, unless it is in the cache."""
     import casadi as ca
 
-    compiler = next((c for c in map(shutil.which, COMPILERS) if c), None)
+    compiler = next((c for c in map(shutil.which, COMPILER_NAMES) if c), None)
     if compiler is None:
-        raise CompileError(f"no C compiler: none of {', '.join(COMPILERS)} is on the path")
+        raise CompileError(f"no C compiler: none of {', '.join(COMPILER_NAMES)} is on the path")
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".build-") as scratch:
         source = _source(function, Path(scratch))
         key = hashlib.sha256(source.read_bytes())
-        key.update(repr((compiler, FLAGS, os.uname().machine, version("casadi"))).encode())
+        key.update(repr((compiler, COMPILER_FLAGS, os.uname().machine, version("casadi"))).encode())
         library = folder / f"{function.name()}-{key.hexdigest()[:24]}.so"
         if not library.is_file():
             built = Path(scratch) / library.name
@@ -140,10 +140,12 @@ def _source(function: Any, folder: Path) -> Path:
 
 def _compile(compiler: str, source: Path, library: Path) -> None:
     """Run the compiler."""
-    command = [compiler, *FLAGS, str(source), "-o", str(library), "-lm"]
+    command = [compiler, *COMPILER_FLAGS, str(source), "-o", str(library), "-lm"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
+        )
     except subprocess.TimeoutExpired as error:
-        raise CompileError(f"{compiler} took more than {TIMEOUT:.0f} s") from error
+        raise CompileError(f"{compiler} took more than {COMPILE_TIMEOUT_S:.0f} s") from error
     if done.returncode:
         raise CompileError(f"{compiler} failed: {done.stderr.strip()[:500]}")

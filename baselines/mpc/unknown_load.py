@@ -1,4 +1,4 @@
-r"""What the prediction model does not know of the load: its centre of mass, and an acceleration.
+r"""Load that the prediction model does not know: its centre of mass, and an acceleration.
 
 Speed that the believed twist gains beyond a prediction, in the ways that the cables leave free, has
 two causes. An unknown force such as wind accelerates the platform whatever is done. A centre of
@@ -28,19 +28,19 @@ from baselines.mpc.model import moving_body
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
-MOST = 0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
-WALK = 1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
-ACCELERATION_MAX = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
-CAREFUL = 4.0  # times slower the acceleration is followed where nobody tells the centre of mass
-PUSH = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # what a wind can do
-FARTHEST = 3.0  # of the standard deviations of the centre of mass: farther out it is not
-MOVED = 1e-4  # [m] by which the centre of mass moves before the robot is made anew
+SPEED_NOISE_M_PER_S = 0.012  # of the speed gained in a command, alike for the whole platform
+ACCELERATION_DEVIATION_M_PER_S2 = 0.25  # at the start, and in ways that are not seen for long
+CENTER_WALK_M_PER_SQRT_S = 1e-3  # model errors seen as a centre of mass vary with the place
+DISTURBANCE_MAX_M_PER_S2 = 2.0  # or a rotation of the same energy: more is no disturbance
+UNTOLD_TIME_RATIO = 4.0  # times slower the acceleration is followed with an unknown centre of mass
+WIND_DIRECTIONS = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # in which a wind pushes
+CENTER_DEVIATIONS_MAX = 3.0  # bound of the estimated centre of mass
+CENTER_STEP_MIN_M = 1e-4  # of the centre of mass, before the robot is rebuilt with it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """What was planned for a command.
+class PlannedMotion:
+    """Motion that was planned for a command.
 
     Attributes:
         rotation: From P to W at its start, shape (3, 3).
@@ -60,8 +60,8 @@ class Motion:
     def of(
         cls, robot: Robot, geometry: Geometry, tension: Array, *, rotation: Array, spin: Array,
         spin_rate: Array,
-    ) -> Motion:  # fmt: skip
-        """With cables of a geometry and of tensions along their chords [N], shape (n,)."""
+    ) -> PlannedMotion:  # fmt: skip
+        """Describe a motion with cables of chord tensions (n,) [N]."""
         hanging = 0.5 * robot.weight_per_length @ geometry.free
         return cls(
             rotation=rotation, spin=spin, spin_rate=spin_rate,
@@ -80,7 +80,7 @@ class UnknownLoad:
     def __init__(
         self, robot: Robot, *, period: float, center_of_mass: float, disturbance_time: float
     ) -> None:
-        """Nothing is known yet.
+        """Start with nothing known.
 
         Args:
             robot: The nominal robot.
@@ -92,27 +92,34 @@ class UnknownLoad:
         self._spread = center_of_mass
         gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
         self._unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
-        self._follow = NOISE / disturbance_time * self._unit  # a walk that has that gain
+        self._follow = (
+            SPEED_NOISE_M_PER_S / disturbance_time * self._unit
+        )  # a walk that has that gain
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.robot, self._told = self._nominal, False
         self._found = np.zeros(9)  # in P [m], shape (3,); in W [m/s^2, rad/s^2], shape (6,)
-        walk = WALK * np.sqrt(self._period)
-        self._begin(np.repeat(self._spread, 3), np.repeat(walk, 3), PUSH, PUSH / CAREFUL)
+        walk = CENTER_WALK_M_PER_SQRT_S * np.sqrt(self._period)
+        self._begin(
+            np.repeat(self._spread, 3),
+            np.repeat(walk, 3),
+            WIND_DIRECTIONS,
+            WIND_DIRECTIONS / UNTOLD_TIME_RATIO,
+        )
         if self._spread == 0.0:
             self.tell(self._nominal.center_of_mass)
 
     def _begin(self, shift: Array, walk: Array, seen: Array, quick: Array) -> None:
         """Begin with standard deviations of the shift, and shares of those of the acceleration."""
-        self._most = np.concatenate([shift, MOST * self._unit * seen])
+        self._most = np.concatenate([shift, ACCELERATION_DEVIATION_M_PER_S2 * self._unit * seen])
         self._covariance = np.diag(self._most**2)
         self._walk = np.diag(np.concatenate([walk, self._follow * quick]) ** 2)
 
     @property
     def shift(self) -> Array:
-        """By how much the centre of mass is elsewhere, in P [m], shape (3,)."""
+        """Offset of the centre of mass from the robot file, in P [m], shape (3,)."""
         return np.asarray(self._found[:3])
 
     @property
@@ -124,7 +131,13 @@ class UnknownLoad:
         return np.asarray(self._found[3:])
 
     def learn(
-        self, gained: Array, free: Array, mass: Array, motion: Motion, *, turning: bool = True
+        self,
+        gained: Array,
+        free: Array,
+        mass: Array,
+        motion: PlannedMotion,
+        *,
+        turning: bool = True,
     ) -> None:
         """Take in what a twist gained beyond its prediction.
 
@@ -139,7 +152,7 @@ class UnknownLoad:
         root = np.linalg.cholesky(mass).T
         by = self._period * root @ free @ self._by(motion)
         covariance = self._bounded(self._covariance + self._walk)
-        noise = NOISE**2 * self._nominal.mass * np.eye(6)
+        noise = SPEED_NOISE_M_PER_S**2 * self._nominal.mass * np.eye(6)
         gain = np.linalg.solve(by @ covariance @ by.T + noise, by @ covariance).T
         if not turning:
             gain[:3] = 0.0
@@ -147,15 +160,15 @@ class UnknownLoad:
         keep = np.eye(9) - change
         covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
         self._covariance = 0.5 * (covariance + covariance.T)
-        shift = FARTHEST * self._spread
-        farthest = np.concatenate([np.repeat(shift, 3), ACCELERATION_MAX * self._unit])
-        found = self._found + gain @ (root @ gained)
-        learned = np.clip(found, -farthest, farthest)
+        shift = CENTER_DEVIATIONS_MAX * self._spread
+        farthest = np.concatenate([np.repeat(shift, 3), DISTURBANCE_MAX_M_PER_S2 * self._unit])
+        estimate = self._found + gain @ (root @ gained)
+        learned = np.clip(estimate, -farthest, farthest)
         self._found = np.where(self._most > 0.0, learned, self._found)
         self._place(self._nominal.center_of_mass + self.shift)
 
     def _bounded(self, covariance: Array) -> Array:
-        """No deviation above that of the start: ways that are not seen do not become unknown."""
+        """Limit deviations to those of the start, so that unseen ways do not become unknown."""
         now = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         share = np.minimum(1.0, self._most / now)
         return np.asarray(covariance * np.outer(share, share))
@@ -185,11 +198,11 @@ class UnknownLoad:
 
     def _place(self, center_of_mass: Array) -> None:
         """Put the centre of mass of the robot there [m], unless it is there already."""
-        if np.abs(center_of_mass - self.robot.center_of_mass).max() > MOVED:
+        if np.abs(center_of_mass - self.robot.center_of_mass).max() > CENTER_STEP_MIN_M:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
-    def _by(self, motion: Motion) -> Array:
-        """Acceleration, linear first, in W, per shift in P and per `acceleration`, shape (6, 9)."""
+    def _by(self, motion: PlannedMotion) -> Array:
+        """Return the acceleration in W per shift in P and per `acceleration`, shape (6, 9)."""
         robot, rotation = self.robot, motion.rotation
         body = moving_body(robot, motion.length)
         share = robot.mass / body.mass
@@ -205,6 +218,6 @@ class UnknownLoad:
 
 
 def _cross(vector: Array) -> Array:
-    """Matrix of the cross product with a vector, shape (3, 3)."""
+    """Return the matrix of the cross product with a vector, shape (3, 3)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,4 +1,4 @@
-r"""What the winches are to do, tick by tick, and the commands that make them do it.
+r"""Winch motion, tick by tick, and the commands that produce it.
 
 A winch follows a held command by a first-order lag T. On average, a command is held for half a
 period h longer than it is new, so that the command of a tick at time t leads by T + h/2:
@@ -19,14 +19,14 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-STOPPED = 5e-3  # [m/s]
-MARGIN = 1e-3  # of the limits, kept clear of rounding
-JERK_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
+REST_SPEED_MAX_M_PER_S = 5e-3
+LIMIT_MARGIN = 1e-3  # of the limits, kept clear of rounding
+JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Range:
-    """What the next command may be.
+class WinchRange:
+    """Range of the next command.
 
     Attributes:
         low: [m], shape (n,).
@@ -51,7 +51,7 @@ class WinchReference:
         self._lead = np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period)
 
     def reset(self, length: Array) -> None:
-        """The winches rest at a length [m], shape (n,)."""
+        """Let the winches rest at a length [m], shape (n,)."""
         self.length = np.array(length)
         self.rate = np.zeros_like(self.length)
         self.held = False
@@ -61,13 +61,13 @@ class WinchReference:
 
     @property
     def at_rest(self) -> bool:
-        """Whether they have all but stopped."""
-        return bool(np.abs(self.rate).max() < STOPPED)
+        """True if they have all but stopped."""
+        return bool(np.abs(self.rate).max() < REST_SPEED_MAX_M_PER_S)
 
-    def command_range(self) -> Range:
-        """Commands within speed, acceleration, jerk and length limits; acceleration goes first."""
-        robot, h, keep = self._robot, self._period, 1.0 - MARGIN
-        change = self._jerk_max * h * (1.0 - JERK_MARGIN)
+    def command_range(self) -> WinchRange:
+        """Return the commands within all limits; that of acceleration goes first."""
+        robot, h, keep = self._robot, self._period, 1.0 - LIMIT_MARGIN
+        change = self._jerk_max * h * (1.0 - JERK_LIMIT_MARGIN)
         most = robot.acceleration_max * keep
         low = np.maximum(-most, np.minimum(self._acceleration - change, most))
         high = np.minimum(most, np.maximum(self._acceleration + change, -most))
@@ -78,19 +78,19 @@ class WinchReference:
         high_speed = np.clip((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
         ahead = self._sent + h * self._speed
         low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
-        return Range(
+        return WinchRange(
             low=np.clip(robot.length_min + 0.0, low_length, high_length),
             high=np.clip(robot.length_max + 0.0, low_length, high_length),
         )
 
-    def acceleration_range(self) -> Range:
-        """Accelerations of the length in this tick that keep the command in its range [m/s^2]."""
+    def acceleration_range(self) -> WinchRange:
+        """Return the length accelerations in this tick that keep the command in range [m/s^2]."""
         allowed = self.command_range()
         base, gain = self._response()
-        return Range(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
+        return WinchRange(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
 
     def follow(self, length: Array, rate: Array) -> Array:
-        """Command that brings the winches to a length and rate by the next tick.
+        """Return the command that brings the winches to a length and rate by the next tick.
 
         Args:
             length: [m], shape (n,).
@@ -117,12 +117,12 @@ class WinchReference:
         return command
 
     def accelerate(self, acceleration: Array) -> Array:
-        """Command for an acceleration of the length in this tick [m/s^2], shape (n,)."""
+        """Return the command for a length acceleration in this tick [m/s^2], shape (n,)."""
         h = self._period
         rate = self.rate + h * acceleration
         return self.follow(self.length + 0.5 * h * (self.rate + rate), rate)
 
     def _response(self) -> tuple[Array, Array]:
-        """Command without acceleration, and by how much acceleration changes it."""
+        """Return the command without acceleration, and its change per acceleration."""
         h, lead = self._period, self._lead
         return self.length + (h + lead) * self.rate, 0.5 * h * h + h * lead

@@ -17,15 +17,15 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import png, write_files
 from carosac_toolkit.robot.robot import Robot
 
-TABLE = "estimate.parquet"
-PICTURES = ("estimate.png", "unknowns.png")
-FILES = (TABLE, *PICTURES)
+TABLE_FILE = "estimate.parquet"
+PICTURE_FILES = ("estimate.png", "unknowns.png")
+REPORT_FILES = (TABLE_FILE, *PICTURE_FILES)
 
 
 def recording_of(
     result: Smoothed, recording: Recording, robot: Robot, source: str, named: str | None
 ) -> Recording:
-    """A recording as it was, with smoothed poses in place of measured ones.
+    """Return a recording with smoothed poses in place of measured ones.
 
     All else is left as it was recorded, and poses are given in the frame of measured ones: the same
     robot may be used with it again.
@@ -52,10 +52,10 @@ def recording_of(
 
 
 def table_of(result: Smoothed) -> dict[str, Array]:
-    """All that was found at each sample, by columns with units."""
+    """Return all estimates at each sample, by columns with units."""
     columns = {"time_s": result.time}
     columns |= _columns("position_{}_m", result.position)
-    columns |= dict(zip(_QUATERNION, _quaternion(result).T, strict=True))
+    columns |= dict(zip(_QUATERNION_COLUMNS, _quaternion(result).T, strict=True))
     columns |= _columns("velocity_{}_m_per_s", result.twist[:, :3])
     columns |= _columns("angular_velocity_{}_rad_per_s", result.twist[:, 3:])
     sigma = result.sigma
@@ -74,7 +74,7 @@ def table_of(result: Smoothed) -> dict[str, Array]:
     return columns
 
 
-_QUATERNION = tuple(f"quaternion_{axis}" for axis in "wxyz")
+_QUATERNION_COLUMNS = tuple(f"quaternion_{axis}" for axis in "wxyz")
 
 
 def _columns(name: str, values: Array) -> dict[str, Array]:
@@ -82,7 +82,7 @@ def _columns(name: str, values: Array) -> dict[str, Array]:
 
 
 def _quaternion(result: Smoothed) -> Array:
-    """Of the rotations, w x y z, shape (N, 4)."""
+    """Return the rotations as quaternions w x y z, shape (N, 4)."""
     poses = PoseSamples.from_rotation(result.time, result.position, result.rotation)
     return poses.quaternion
 
@@ -96,15 +96,15 @@ def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
         robot: Its name.
     """
     files = {
-        TABLE: _parquet(table_of(result)),
-        PICTURES[0]: png(draw_estimate(result, robot)),
-        PICTURES[1]: png(draw_unknowns(result, robot)),
+        TABLE_FILE: _parquet(table_of(result)),
+        PICTURE_FILES[0]: png(draw_estimate(result, robot)),
+        PICTURE_FILES[1]: png(draw_unknowns(result, robot)),
     }
     return write_files(folder, files)
 
 
 def _parquet(columns: dict[str, Array]) -> bytes:
-    """A table as the content of a Parquet file."""
+    """Return a table as the content of a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

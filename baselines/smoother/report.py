@@ -1,20 +1,20 @@
-"""What a smoother found, in sentences."""
+"""Results of a smoother in sentences."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from baselines.smoother.result import Smoothed
-from baselines.smoother.scores import Scores
+from baselines.smoother.scores import SmoothingScores
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
-DOUBTFUL = 3.0  # sigma
-WORDS = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
+IMPLAUSIBLE_DEVIATIONS = 3.0  # sigma
+PHASE_NAMES = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
 
 
 def sentences(result: Smoothed) -> list[str]:
-    """What was used, what was found, and how good it is."""
+    """Describe the data used, the estimates, and their quality."""
     return [
         _used(result),
         _sigma(result),
@@ -25,56 +25,56 @@ def sentences(result: Smoothed) -> list[str]:
 
 
 def warnings(result: Smoothed) -> list[str]:
-    """What must not be overlooked."""
+    """Describe everything that must not be overlooked."""
     distance = exit_point_distance(result.recording, result.robot)
-    found = [*result.misfits, *doubt_exit_points(distance)]
+    lines = [*result.misfits, *doubt_exit_points(distance)]
     if not result.converged:
         passes = counted(result.passes, "pass", "passes")
-        found.append(
+        lines.append(
             f"not settled after {passes}: the last one would still change a position by "
             f"{result.change * 1e3:.2g} mm"
         )
-    found += _implausible(result)
+    lines += _implausible(result)
     if result.settings.poses != "used" and result.recording.poses and result.scores is None:
-        found.append("no score: no measured pose that was not used lies within the lengths")
+        lines.append("no score: no measured pose that was not used lies within the lengths")
     if result.outliers:
-        found.append(
+        lines.append(
             f"{result.outliers} of {len(result.time)} length samples are not what winches can do "
             "and were left out"
         )
     if result.doubted:
-        found.append(f"{result.doubted} of {result.poses} poses are far off and count little")
-    return found
+        lines.append(f"{result.doubted} of {result.poses} poses are far off and count little")
+    return lines
 
 
 def _implausible(result: Smoothed) -> list[str]:
-    """Constants that were found far from what was taken for granted."""
-    dynamics, robot, found = result.settings.dynamics, result.robot, []
+    """Describe constants that were estimated far from their assumed values."""
+    dynamics, robot, lines = result.settings.dynamics, result.robot, []
     why = "the model is wrong" + ("" if result.converged else ", or it did not settle")
     away = abs(float(np.log(result.mass / robot.mass)))
-    if away > DOUBTFUL * dynamics.mass > 0.0:
-        found.append(
+    if away > IMPLAUSIBLE_DEVIATIONS * dynamics.mass > 0.0:
+        lines.append(
             f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
             f"{away / dynamics.mass:.1f} sigma away: {why}"
         )
     moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
-    if moved > DOUBTFUL * dynamics.center_of_mass > 0.0:
-        found.append(
+    if moved > IMPLAUSIBLE_DEVIATIONS * dynamics.center_of_mass > 0.0:
+        lines.append(
             f"the centre of mass found is {moved * 1e3:.1f} mm, "
             f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: {why}"
         )
     wind = float(np.sqrt((result.wind**2).mean()))
-    if wind > DOUBTFUL * dynamics.wind_force > 0.0:
-        found.append(
+    if wind > IMPLAUSIBLE_DEVIATIONS * dynamics.wind_force > 0.0:
+        lines.append(
             f"the wind found is {wind:.1f} N per axis, {wind / dynamics.wind_force:.1f} times what "
             "was taken for granted: the model does not sway as the platform did, and mass and "
             "centre of mass may be off by more than their sigmas"
         )
-    return found
+    return lines
 
 
 def _used(result: Smoothed) -> str:
-    """What went in."""
+    """Describe the data used."""
     parts = ["lengths"]
     if result.inertial:
         parts.append(f"{result.inertial} inertial measurements")
@@ -86,29 +86,29 @@ def _used(result: Smoothed) -> str:
 
 
 def _sigma(result: Smoothed) -> str:
-    """How sure it is."""
+    """Describe the uncertainty of the estimate."""
     sigma = np.sqrt((result.sigma**2).mean(axis=0))
     position = " / ".join(f"{value * 1e3:.1f}" for value in sigma[:3])
     turn = " / ".join(f"{np.degrees(value):.2f}" for value in sigma[3:6])
     return f"One sigma of the estimate: {position} mm in x / y / z, {turn} degrees about them."
 
 
-def _scored(result: Smoothed, scores: Scores) -> list[str]:
-    """Errors against poses that were not used."""
-    found = []
+def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
+    """Describe the errors against poses that were not used."""
+    lines = []
     for name, part in scores.parts.items():
         axes = " / ".join(f"{value * 1e3:.1f}" for value in part.rmse[:3])
-        found.append(
-            f"RMSE on {part.samples} poses that were not used, {WORDS[name]}: {axes} mm in "
+        lines.append(
+            f"RMSE on {part.samples} poses that were not used, {PHASE_NAMES[name]}: {axes} mm in "
             f"x / y / z, {part.rmse[3] * 1e3:.1f} mm in norm, "
             f"{np.degrees(part.orientation_rmse):.2f} degrees; NEES {scores.nees[name]:.2f} "
             "(1: as large as the covariance says)."
         )
-    return found
+    return lines
 
 
 def _found(result: Smoothed) -> list[str]:
-    """What the data told beside the motion, and what was only taken for granted."""
+    """Describe the constants that the data determined, and those only assumed."""
     bias = ", ".join(
         f"{value * 1e3:+.1f} +-{sigma * 1e3:.1f}"
         for value, sigma in zip(
@@ -132,13 +132,13 @@ def _found(result: Smoothed) -> list[str]:
         "wind": blown if told["wind"] else unknown,
         "delay": f"lengths lead by {result.delay * 1e3:.1f}{ahead} ms",
     }
-    found = [words[name] for name in words if told[name]]
+    determined = [words[name] for name in words if told[name]]
     left = [words[name] for name in words if not told[name]]
-    lines = [f"Told by the data: {'; '.join(found)}."] if found else []
+    lines = [f"Told by the data: {'; '.join(determined)}."] if determined else []
     return [*lines, *([f"Taken for granted: {'; '.join(left)}."] if left else [])]
 
 
 def _passes(result: Smoothed) -> str:
-    """Whether it settled."""
+    """Describe whether the passes settled."""
     state = "settled" if result.converged else "did not settle"
     return f"It {state} in {counted(result.passes, 'pass', 'passes')}."

@@ -1,4 +1,4 @@
-"""What a smoother found."""
+"""Result of a smoother."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from baselines.smoother.scores import Scores
+from baselines.smoother.scores import SmoothingScores
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-AXES = ("x", "y", "z")
-CLEARLY = 0.7  # of a sigma that was taken for granted: what is less was told by the data
+AXIS_NAMES = ("x", "y", "z")
+TOLD_DEVIATION_RATIO = 0.7  # to the assumed deviation: below it, the data determined a value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class Smoothed:
         delay_sigma: [s]; 0: it was known.
         passes: Forward passes that were made.
         change: What the last of them would still have changed in a position [m].
-        converged: Whether that is none.
+        converged: Whether that is within the tolerance.
         inertial: Inertial measurements that were used.
         poses: Measured poses that were used.
         doubted: Those of them that are so far off that they count less than half.
@@ -86,7 +86,7 @@ class Smoothed:
     misfits: tuple[str, ...]
     measured: Pose | None
     compared: Pose | None
-    scores: Scores | None
+    scores: SmoothingScores | None
 
     @property
     def sigma(self) -> Array:
@@ -95,7 +95,7 @@ class Smoothed:
 
     @property
     def told(self) -> dict[str, bool]:
-        """Whether the data told it: one sigma is clearly less than what was taken for granted."""
+        """True for what the data determined: its deviation is clearly below the assumed one."""
         known = self.settings.dynamics
         bias = np.sqrt((self.length_bias_sigma**2).mean())
         pairs = {
@@ -105,10 +105,13 @@ class Smoothed:
             "wind": (self.wind_sigma.max(), known.wind_force),
             "delay": (self.delay_sigma, self.settings.delay),
         }
-        return {name: bool(0.0 < sigma < CLEARLY * prior) for name, (sigma, prior) in pairs.items()}
+        return {
+            name: bool(0.0 < sigma < TOLD_DEVIATION_RATIO * prior)
+            for name, (sigma, prior) in pairs.items()
+        }
 
     def data(self) -> dict[str, Any]:
-        """The numbers in short, under names with units, ready for JSON."""
+        """Return the main numbers, under names with units, ready for JSON."""
         mean = np.sqrt((self.sigma**2).mean(axis=0))
         return {
             "samples": len(self.time),
@@ -123,8 +126,8 @@ class Smoothed:
             "found": self.told,
             "lag_s": self.settings.lag,
             "dynamics": asdict(self.settings.dynamics),
-            "position_sigma_m": dict(zip(AXES, mean[:3], strict=True)),
-            "orientation_sigma_rad": dict(zip(AXES, mean[3:6], strict=True)),
+            "position_sigma_m": dict(zip(AXIS_NAMES, mean[:3], strict=True)),
+            "orientation_sigma_rad": dict(zip(AXIS_NAMES, mean[3:6], strict=True)),
             "wind_N": {"rms": float(np.sqrt((self.wind**2).sum(axis=1).mean())),
                        "max": float(np.linalg.norm(self.wind, axis=1).max())},
             "length_bias_m": self.length_bias.mean(axis=0),

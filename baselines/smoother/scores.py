@@ -1,4 +1,4 @@
-"""How far a smoothed estimate is from measured poses that it did not see."""
+"""Errors of a smoothed estimate against measured poses that it did not see."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.smoother.measured import nearest
+from baselines.smoother.arranged_recording import nearest
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.consistency import normalised_square
@@ -19,7 +19,7 @@ from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
+class SmoothingScores:
     """Errors in all, and apart with winches in motion and at rest.
 
     Attributes:
@@ -32,7 +32,7 @@ class Scores:
     nees: dict[str, float]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {name: {**part.data(), "nees": self.nees[name]} for name, part in self.parts.items()}
 
 
@@ -42,7 +42,7 @@ def score(
     estimate: Pose,
     covariance: Array,
     settings: DynamicEstimatorSettings,
-) -> Scores:
+) -> SmoothingScores:
     """Score an estimate.
 
     Args:
@@ -66,7 +66,7 @@ def score(
     angle = rotation_angle(measured.rotation, estimate.rotation)
     parts = {"all": np.ones(len(error), dtype=np.bool_), "moving": ~resting, "resting": resting}
     some = {name: mask for name, mask in parts.items() if mask.any()}
-    return Scores(
+    return SmoothingScores(
         parts={name: score_poses(error[mask], angle[mask]) for name, mask in some.items()},
         nees={name: float(square[mask].mean()) for name, mask in some.items()},
     )

@@ -8,11 +8,11 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 
-POSES = ("withheld", "half", "used")
+POSE_TREATMENTS = ("withheld", "half", "used")
 
 
 def _dynamics() -> DynamicEstimatorSettings:
-    """Those of the estimator, but the path of the lengths is smooth: less noise, no damping."""
+    """Return the estimator's settings for a smooth path of lengths: less noise, no damping."""
     return DynamicEstimatorSettings(
         stretch_damping=0.0, stretch_noise=5e-4, rate_noise=0.05, wind_force=1.0
     )
@@ -28,12 +28,6 @@ class SmootherSettings:
         imu: Whether inertial samples are used.
         lag: An estimate rests on what is measured up to so much later, at least [s]; None: on the
             whole recording.
-        grid: Lengths go straight over no longer time [s].
-        imu_step: Inertial samples within it are taken as one, at their mean time [s].
-        imu_damping: Where inertial samples are used, the least `stretch_damping`: vibrations of
-            the stretch, whose phase nobody knows, would be expected of the IMU otherwise [s].
-        huber: Distance of a pose from the estimate, in standard deviations of its noise, from
-            which on it pulls no more than there.
         iterations: Forward passes at most.
         tolerance: Change of the estimate from pass to pass that counts as none: of positions [m],
             and of rotations in rad per m.
@@ -46,10 +40,6 @@ class SmootherSettings:
     poses: str = "withheld"
     imu: bool = True
     lag: float | None = None
-    grid: float = 0.05
-    imu_step: float = 0.01
-    imu_damping: float = 0.04
-    huber: float = 4.0
     iterations: int = 12
     tolerance: float = 2e-4
     delay: float = 0.03
@@ -57,12 +47,9 @@ class SmootherSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if self.poses not in POSES:
-            raise InvalidField("poses", repr(self.poses), f"one of {list(POSES)}")
-        check_fields(
-            self, positive=("grid", "huber", "tolerance"),
-            not_negative=("imu_step", "imu_damping", "delay"),
-        )  # fmt: skip
+        if self.poses not in POSE_TREATMENTS:
+            raise InvalidField("poses", repr(self.poses), f"one of {list(POSE_TREATMENTS)}")
+        check_fields(self, positive=("tolerance",), not_negative=("delay",))
         if self.lag is not None:
             check_positive("lag", self.lag, "s")
         check_whole("iterations", self.iterations, 1)

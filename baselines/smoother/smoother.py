@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Evidence
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.start import Rest
-from baselines.dynamic_estimator.state import FilterState
-from baselines.smoother.forward import Forward, Passed, scales, shifted
-from baselines.smoother.graph import Graph, Solution
-from baselines.smoother.measured import Measured, arrange
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.rest_start import RestStart
+from baselines.smoother.arranged_recording import ArrangedRecording, arrange
+from baselines.smoother.error_graph import ErrorGraph, GraphSolution
+from baselines.smoother.forward_pass import ForwardModel, ForwardPass, scales, shifted
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
 from baselines.smoother.settings import SmootherSettings
@@ -25,12 +25,14 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_misfits
 
-WEIGHINGS = 6  # of poses, at most, in one pass
-SAME_WEIGHT = 0.05
-SAME_CONSTANT = 0.3  # of a sigma
-SHORTEST_STEP = 0.125  # of what a pass found: how much goes into the next one, at least
+REWEIGHTINGS_MAX = 6  # of the poses, in one pass
+WEIGHT_TOLERANCE = 0.05
+CONSTANT_CHANGE_DEVIATIONS = 0.3
+STEP_RATIO_MIN = 0.125  # of the correction of a pass that goes into the next one
+HUBER_DEVIATIONS = 4.0  # from which on a pose pulls no more: beyond lie gross errors, not noise
+IMU_STRETCH_DAMPING_S = 0.04  # with an IMU, at least: the phase of cable vibrations is unknown
 
-Report = Callable[[int, float], None]
+PassReport = Callable[[int, float], None]
 
 
 def smooth(
@@ -40,7 +42,7 @@ def smooth(
     *,
     start: int = 0,
     stop: int | None = None,
-    report: Report | None = None,
+    report: PassReport | None = None,
 ) -> Smoothed:
     """Find the best estimate of a whole recording.
 
@@ -68,24 +70,24 @@ def smooth(
     measured = arrange(recording, robot, chosen)
     misfits = find_misfits(measured.recording, robot)
     try:
-        found = _settled(measured, robot, chosen, report)
+        last = _settled(measured, robot, chosen, report)
     except CarosacError as error:
         raise CarosacError("\n  ".join([str(error), *misfits])) from error
-    return _result(found, measured, misfits, measured.withheld(start, end))
+    return _result(last, measured, misfits, measured.withheld(start, end))
 
 
 def _settled(
-    measured: Measured, robot: Robot, chosen: SmootherSettings, report: Report | None
-) -> _Pass:
+    measured: ArrangedRecording, robot: Robot, chosen: SmootherSettings, report: PassReport | None
+) -> _LastPass:
     """Go through the recording until nothing changes; see `smooth`."""
     rest = _rest(measured, robot, chosen)
-    damping = max(chosen.dynamics.stretch_damping, chosen.imu_damping if measured.felt else 0.0)
-    model = Model(robot, replace(chosen.dynamics, stretch_damping=damping))
-    forward = Forward(model, measured, chosen)
+    damping = max(chosen.dynamics.stretch_damping, IMU_STRETCH_DAMPING_S if measured.felt else 0.0)
+    model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping))
+    forward = ForwardModel(model, measured, chosen)
     start_covariance = np.pad(rest.covariance, (0, 1))
     start_covariance[-1, -1] = measured.delay_sigma**2
-    graph = Graph(model.errors, scales(model, chosen), start_covariance)
-    wanted: list[FilterState] | None = None
+    graph = ErrorGraph(model.errors, scales(model, chosen), start_covariance)
+    wanted: list[DynamicFilterState] | None = None
     delay, step, before = measured.delay, 1.0, np.inf
     for passes in range(1, chosen.iterations + 1):
         passed = forward.run(rest, wanted, delay)
@@ -97,67 +99,69 @@ def _settled(
         settled = largest <= chosen.tolerance and _still(solution, graph)
         if settled or passes == chosen.iterations:
             break
-        step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, SHORTEST_STEP)
+        step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, STEP_RATIO_MIN)
         before = largest
         wanted, delay = _wanted(passed, solution, graph, step)
-    return _Pass(robot, graph, passed, solution, weight, passes, change, settled)
+    return _LastPass(robot, graph, passed, solution, weight, passes, change, settled)
 
 
 @dataclass(frozen=True)
-class _Pass:
+class _LastPass:
     """The last pass."""
 
     robot: Robot
-    graph: Graph
-    passed: Passed
-    solution: Solution
+    graph: ErrorGraph
+    passed: ForwardPass
+    solution: GraphSolution
     weight: dict[int, float]
     passes: int
     change: float
     settled: bool
 
 
-def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> FilterState:
-    """Where the recording begins."""
+def _rest(
+    measured: ArrangedRecording, robot: Robot, settings: SmootherSettings
+) -> DynamicFilterState:
+    """Return the state at which the recording begins."""
     first = float(measured.time[0])
     reading = measured.reading(first, measured.delay)
-    found = Rest(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
-    if found is None:
+    rest = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
+    if rest is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
         raise CarosacError(
             f"the robot {robot.name!r} cannot hang at rest on the first recorded lengths "
             f"({lengths} m)"
         )
-    return found
+    return rest
 
 
 def _solved(
-    graph: Graph, passed: Passed, measured: Measured, settings: SmootherSettings
-) -> tuple[Solution, dict[int, float]]:
-    """The errors, with poses that are far off weighing less."""
+    graph: ErrorGraph, passed: ForwardPass, measured: ArrangedRecording, settings: SmootherSettings
+) -> tuple[GraphSolution, dict[int, float]]:
+    """Solve for the errors, with poses that are far off weighing less."""
     import gtsam
 
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_DEVIATIONS)
     weight = dict.fromkeys(passed.poses, 1.0)
-    for _ in range(WEIGHINGS):
+    for _ in range(REWEIGHTINGS_MAX):
         solution = graph.solve(passed, measured.time, weight, settings.lag)
         before, weight = weight, {
-            k: float(huber.weight(_distance(said, solution.error[k])))
-            for k, said in passed.poses.items()
+            k: float(huber.weight(_distance(measurement, solution.error[k])))
+            for k, measurement in passed.poses.items()
         }  # fmt: skip
-        if all(abs(weight[k] - before[k]) <= SAME_WEIGHT for k in weight):
+        if all(abs(weight[k] - before[k]) <= WEIGHT_TOLERANCE for k in weight):
             break
     return solution, weight
 
 
-def _distance(said: Evidence, error: Array) -> float:
-    """How far a measurement is off after an error is put right, in standard deviations."""
-    left = said.residual - said.by @ error
-    return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))
+def _distance(measurement: LinearisedMeasurement, error: Array) -> float:
+    """Return the residual after an error is put right, in standard deviations."""
+    left = measurement.residual - measurement.by @ error
+    return float(np.sqrt(left @ np.linalg.solve(measurement.noise, left)))
 
 
-def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
-    """Largest change of a position [m] and of an orientation [rad]."""
+def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]:
+    """Return the largest change of a position [m] and of an orientation [rad]."""
     moved = np.array([
         state.pose_by() @ error[:-1] - error[-1] * state.twist
         for state, error in zip(passed.states, solution.error, strict=True)
@@ -166,16 +170,16 @@ def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
     return float(size[0]), float(size[1])
 
 
-def _still(solution: Solution, graph: Graph) -> bool:
-    """Whether what is constant stays as it is, too, against one sigma of it."""
+def _still(solution: GraphSolution, graph: ErrorGraph) -> bool:
+    """Return whether the constants change by less than a share of their deviations."""
     moved = np.abs(solution.error[-1, graph.constant])
-    return bool((moved <= SAME_CONSTANT * np.sqrt(np.diag(solution.constant))).all())
+    return bool((moved <= CONSTANT_CHANGE_DEVIATIONS * np.sqrt(np.diag(solution.constant))).all())
 
 
 def _wanted(
-    passed: Passed, solution: Solution, graph: Graph, step: float
-) -> tuple[list[FilterState], float]:
-    """States that the next pass is to reach, and the delay that it is to have [s].
+    passed: ForwardPass, solution: GraphSolution, graph: ErrorGraph, step: float
+) -> tuple[list[DynamicFilterState], float]:
+    """Return the states that the next pass is to reach, and its delay [s].
 
     A `step` below 1 goes only that share of the way.
     """
@@ -188,29 +192,29 @@ def _wanted(
     return wanted, passed.delay + float(error[-1, -1])
 
 
-def _put_right(state: FilterState, error: Array, covariance: Array) -> FilterState:
-    """A state after an error was estimated, that of the delay included."""
+def _put_right(state: DynamicFilterState, error: Array, covariance: Array) -> DynamicFilterState:
+    """Return a state with an estimated error removed, that of the delay included."""
     return shifted(state.corrected(error[:-1], covariance), float(error[-1]))
 
 
 def _result(
-    found: _Pass,
-    measured: Measured,
+    last_pass: _LastPass,
+    measured: ArrangedRecording,
     misfits: tuple[str, ...],
     withheld: tuple[NDArray[np.int64], Pose] | None,
 ) -> Smoothed:
-    """The estimate at the length samples."""
-    settings, robot, graph = measured.settings, found.robot, found.graph
-    states, covariance = _states(found, measured.samples)
+    """Return the estimate at the length samples."""
+    settings, robot, graph = measured.settings, last_pass.robot, last_pass.graph
+    states, covariance = _states(last_pass, measured.samples)
     last = states[-1]
     sigma = np.zeros(last.errors.size + 1)
-    sigma[graph.constant] = np.sqrt(np.diag(found.solution.constant))
+    sigma[graph.constant] = np.sqrt(np.diag(last_pass.solution.constant))
     noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise, float(sigma[-1])
     estimate, platform = _poses(states, measured.recording.time, noise)
     wanted = compared = scores = None
     if withheld is not None:
         keys, wanted = withheld
-        compared, doubt = _poses(_states(found, keys)[0], wanted.time, noise)
+        compared, doubt = _poses(_states(last_pass, keys)[0], wanted.time, noise)
         scores = score(measured.recording, wanted, compared, doubt, settings.dynamics)
     where = last.errors
     variance = np.diagonal(covariance, axis1=1, axis2=2)
@@ -234,14 +238,14 @@ def _result(
         center_of_mass=last.center,
         center_sigma=sigma[where.center],
         imu_bias=last.imu_bias,
-        delay=found.passed.delay + float(found.solution.error[-1, -1]),
+        delay=last_pass.passed.delay + float(last_pass.solution.error[-1, -1]),
         delay_sigma=float(sigma[-1]) if measured.delay_sigma else 0.0,
-        passes=found.passes,
-        change=found.change,
-        converged=found.settled,
+        passes=last_pass.passes,
+        change=last_pass.change,
+        converged=last_pass.settled,
         inertial=len(measured.felt),
         poses=len(measured.poses),
-        doubted=sum(value < 0.5 for value in found.weight.values()),
+        doubted=sum(value < 0.5 for value in last_pass.weight.values()),
         outliers=measured.outliers,
         misfits=misfits,
         measured=wanted,
@@ -251,9 +255,9 @@ def _result(
 
 
 def _poses(
-    states: list[FilterState], time: Array | None, noise: tuple[float, float, float]
+    states: list[DynamicFilterState], time: Array | None, noise: tuple[float, float, float]
 ) -> tuple[Pose, Array]:
-    """Poses, and the covariances of pose and twist, shape (S, 12, 12).
+    """Return poses, and the covariances of pose and twist, shape (S, 12, 12).
 
     What is left open of the delay counts as if it were independent of all else: it is where
     nothing tells it, and next to nothing where something does.
@@ -269,12 +273,14 @@ def _poses(
     return poses, covariance
 
 
-def _states(found: _Pass, keys: NDArray[np.int64]) -> tuple[list[FilterState], Array]:
-    """States at S key frames, and the covariances of what changes, shape (S, size, size)."""
-    solution, graph, states = found.solution, found.graph, []
+def _states(
+    last_pass: _LastPass, keys: NDArray[np.int64]
+) -> tuple[list[DynamicFilterState], Array]:
+    """Return states at S key frames, and their covariances, shape (S, size, size)."""
+    solution, graph, states = last_pass.solution, last_pass.graph, []
     size = len(graph.changing) + len(graph.constant) - 1  # without the delay
     covariance = np.zeros((len(keys), size, size))
     for row, k in enumerate(keys):
         covariance[row][np.ix_(graph.changing, graph.changing)] = solution.covariance[k]
-        states.append(_put_right(found.passed.states[k], solution.error[k], covariance[row]))
+        states.append(_put_right(last_pass.passed.states[k], solution.error[k], covariance[row]))
     return states, covariance

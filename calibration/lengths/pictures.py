@@ -16,6 +16,7 @@ from calibration.pictures import (
     draw_residuals,
 )
 from carosac_toolkit.pictures.drawing import (
+    MEASURED_COLOR,
     SERIES_COLORS,
     new_figure,
     put_legend,

@@ -1,1 +1,1 @@
-"""Words every module shares: arrays, errors, numbers, units, files and tables; knows no robot."""
+"""Arrays, errors, files and other tools that know nothing of robots."""

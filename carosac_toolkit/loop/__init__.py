@@ -5,17 +5,13 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from carosac_toolkit.loop.loop import BadPlugin, Log, ReferenceSource, Step, run
 
 __all__ = ["BadPlugin", "Log", "ReferenceSource", "Step", "run"]
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use."""
-    if name in __all__:
-        return getattr(import_module("carosac_toolkit.loop.loop"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(__name__, dict.fromkeys(__all__, "loop"))

@@ -26,7 +26,7 @@ from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolde
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from learned.evaluation import (
-    PATHS,
+    PROTOCOL_PATHS,
     Protocol,
     evaluate,
     evaluate_inverse_kinematics,
@@ -36,12 +36,12 @@ from learned.evaluation import (
 )
 from learned.policy_controller import check_robot, find_policy
 from learned.policy_file import Policy, PolicyDescription
-from learned.saved_scores import SCORES, SavedScores
-from learned.scores import Scores, sound_paths
+from learned.saved_scores import SCORES_FILE, SavedScores
+from learned.scores import PolicyScores, sound_paths
 from learned.settings_data import environment_settings
 
-SOLVER, FEEDFORWARD = "catenary IK", "with feedforward"  # columns beside the policy
-BY_DEFINITION = (  # none, for inverse kinematics of set-points
+SOLVER_COLUMN, FEEDFORWARD_COLUMN = "catenary IK", "with feedforward"  # columns beside the policy
+ZERO_BY_DEFINITION = (  # none, for inverse kinematics of set-points
     "length_error_m", "inconsistency_m", "p95_inconsistency_m", "median_tilt_rad"
 )  # fmt: skip
 
@@ -55,9 +55,9 @@ class Options(CommonOptions):
     protocol: str | None = None
     """`no-sag`, `settle` or `realtime`; by default the one in which the policy was trained."""
     trajectories: int | None = None
-    """How many paths; by default as many as in the paper, 1000 or 20."""
+    """Number of paths; by default as many as in the paper, 1000 or 20."""
     robot: str | None = None
-    """Make sure that the policy was trained for this robot: a bundled one or a YAML file."""
+    """Check that the policy was trained for this robot: a bundled one or a YAML file."""
     output: OutputFolder = None
     """Folder for pictures; by default one in carosac-results/evaluate."""
 
@@ -70,9 +70,9 @@ def run(options: Options) -> CommandResult:
     description = policy.description
     trained = environment_settings(description.settings)
     protocol: Any = options.protocol or trained.world.replace("_", "-")
-    if protocol not in PATHS:
-        raise InvalidField("--protocol", repr(protocol), f"one of {list(PATHS)}")
-    count = PATHS[protocol] if options.trajectories is None else options.trajectories
+    if protocol not in PROTOCOL_PATHS:
+        raise InvalidField("--protocol", repr(protocol), f"one of {list(PROTOCOL_PATHS)}")
+    count = PROTOCOL_PATHS[protocol] if options.trajectories is None else options.trajectories
     check_whole("--trajectories", count, 1)
     print(
         f"{options.policy}: preset {description.preset}, robot {description.robot.name}, "
@@ -83,19 +83,19 @@ def run(options: Options) -> CommandResult:
     scores = {"policy": evaluate(policy, protocol, **arguments)}
     data = scores["policy"].data(robot) | {"protocol": protocol}
     if protocol != "no-sag":
-        scores[SOLVER] = evaluate_inverse_kinematics(policy, protocol, **arguments)
-        data["inverse_kinematics"] = scores[SOLVER].data(robot)
+        scores[SOLVER_COLUMN] = evaluate_inverse_kinematics(policy, protocol, **arguments)
+        data["inverse_kinematics"] = scores[SOLVER_COLUMN].data(robot)
     if protocol == "settle":
-        for name in BY_DEFINITION:
+        for name in ZERO_BY_DEFINITION:
             del data["inverse_kinematics"][name]
     if protocol == "realtime":
-        data["rmse_ratio"] = rmse_ratio(scores["policy"], scores[SOLVER])
+        data["rmse_ratio"] = rmse_ratio(scores["policy"], scores[SOLVER_COLUMN])
         data["slack_share_at_rest"] = slack_at_rest(policy, **arguments)
     if protocol == "realtime" and trained.action == "push" and trained.feedforward:
         pushed = evaluate_inverse_kinematics(policy, protocol, feedforward=True, **arguments)
-        scores[FEEDFORWARD] = pushed
+        scores[FEEDFORWARD_COLUMN] = pushed
         data["feedforward"] = pushed.data(robot) | {
-            "rmse_ratio": rmse_ratio(pushed, scores[SOLVER])
+            "rmse_ratio": rmse_ratio(pushed, scores[SOLVER_COLUMN])
         }
     print(_table(data))
     for line in _legend(data):
@@ -106,17 +106,17 @@ def run(options: Options) -> CommandResult:
     saved.write(folder)
     if protocol == "realtime":
         data["pictures"] += draw_rmse(scores, folder)
-    print(f"pictures, and the scores of all points ({SCORES}): {folder}")
+    print(f"pictures, and the scores of all points ({SCORES_FILE}): {folder}")
     return CommandResult(data, status=1 if data["failures"] else 0)
 
 
 def _default_folder(
     description: PolicyDescription, protocol: Protocol, count: int, seed: int
 ) -> Path:
-    """Where pictures go that were not sent anywhere; other paths than usual are in its name."""
+    """Return the default folder for pictures; unusual numbers of paths are in its name."""
     trained = f"seed{description.seed}-{description.steps}steps"
     parts = [description.preset, description.robot.name, trained, protocol]
-    if count != PATHS[protocol]:
+    if count != PROTOCOL_PATHS[protocol]:
         parts.append(f"{count}paths")
     if seed != 0:
         parts.append(f"of-seed{seed}")
@@ -124,36 +124,38 @@ def _default_folder(
 
 
 def _table(data: dict[str, Any]) -> str:
-    """The numbers, one a line, beside those of inverse kinematics."""
+    """Format the numbers, one a line, beside those of inverse kinematics."""
     columns = {"policy": data}
-    for name, key in ((SOLVER, "inverse_kinematics"), (FEEDFORWARD, "feedforward")):
+    for name, key in ((SOLVER_COLUMN, "inverse_kinematics"), (FEEDFORWARD_COLUMN, "feedforward")):
         if key in data:
             columns[name] = data[key]
     rows: list[list[object]] = []
-    for name, key, said in ROWS:
+    for name, key, text_of in TABLE_ROWS:
         if key in data and not (isinstance(data[key], float) and np.isnan(data[key])):
             rows.append(
-                [name, *(said(one[key]) if key in one else "-" for one in columns.values())]
+                [name, *(text_of(one[key]) if key in one else "-" for one in columns.values())]
             )
     return format_table(["what", *columns], rows)
 
 
 def _legend(data: dict[str, Any]) -> list[str]:
-    """What the rows and columns of a table mean."""
+    """Explain the rows and columns of a table."""
     lines = []
     if "slack_share" in data:
         lines.append("slack: below the least tension that the robot file allows, in some cable")
     if "slack_share_at_rest" in data:
         lines.append(
-            f"at rest: plants that hang still on the lengths of {SOLVER}, without any motion"
+            f"at rest: plants that hang still on the lengths of {SOLVER_COLUMN}, without any motion"
         )
     if "feedforward" in data:
         lines.append(
-            f"{FEEDFORWARD}: {SOLVER} that also pushes for the acceleration of the target, as "
-            "the policy does before it acts"
+            f"{FEEDFORWARD_COLUMN}: {SOLVER_COLUMN} that also pushes for the acceleration of the "
+            "target, as the policy does before it acts"
         )
     if data.get("rmse_ratio", 0.0) > 1.0:
-        lines.append(f"the policy is worse than {SOLVER}: it has not learned yet, or not this")
+        lines.append(
+            f"the policy is worse than {SOLVER_COLUMN}: it has not learned yet, or not this"
+        )
     return lines
 
 
@@ -165,7 +167,7 @@ def _percent(value: float) -> str:
     return f"{100 * value:.1f} %"
 
 
-ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+TABLE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     (
         "median |error| x / y / z",
         "median_error_m",
@@ -175,7 +177,7 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("median of the paths' means", "median_of_trajectory_means_m", _millimetres),
     ("95 % of the distances below", "p95_error_m", _millimetres),
     ("RMSE of the distance", "rmse_m", _millimetres),
-    (f"RMSE over that of {SOLVER}", "rmse_ratio", lambda ratio: f"{ratio:.2f}"),
+    (f"RMSE over that of {SOLVER_COLUMN}", "rmse_ratio", lambda ratio: f"{ratio:.2f}"),
     ("median |length - IK|", "length_error_m", _millimetres),
     ("median tilt against rest", "median_tilt_rad", lambda x: f"{np.degrees(x):.2f} degrees"),
     ("median inconsistency", "inconsistency_m", _millimetres),
@@ -187,8 +189,8 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 )
 
 
-def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
-    """The paper's pictures, of paths that did not fail."""
+def draw(scores: PolicyScores, robot: Robot, folder: Path) -> list[Path]:
+    """Draw the paper's pictures, of paths that did not fail."""
     from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -201,8 +203,8 @@ def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
     return files
 
 
-def draw_rmse(scores: dict[str, Scores], folder: Path) -> list[Path]:
-    """How the RMSE of a path scatters, over paths on which nothing failed."""
+def draw_rmse(scores: dict[str, PolicyScores], folder: Path) -> list[Path]:
+    """Draw the distribution of the RMSE of a path, over paths on which nothing failed."""
     from learned.pictures.accuracy import rmse_gaussians
 
     sound = np.all([sound_paths(one) for one in scores.values()], axis=0)

@@ -1,7 +1,7 @@
 """Train a controller with TD3: all stages of a preset, one after the other.
 
 Each stage goes to a folder of its own, with settings, learning curve, episodes, checkpoint and the
-policy as an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as
+policy as an ONNX file. After an interruption the same command resumes from the last checkpoint as
 if nothing had happened. TensorBoard shows the folder while it grows.
 
 With --seeds or --vary it is a study: several trainings at once, on all cores or a dask cluster,
@@ -29,14 +29,14 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE
-from learned.changes import check_changes, read_changes, read_variations
-from learned.curve import CURVE, read_curve
+from learned.learning_curve import CURVE_FILE, read_curve
 from learned.presets import Preset, Stage, find_preset
-from learned.training import CHECKPOINT, Job, train
-from learned.training_record import SETTINGS
-from learned.training_study import CPU, Training, TrainingStudy, check_stages, free_study
+from learned.setting_changes import check_changes, read_changes, read_variations
+from learned.training import CHECKPOINT_FILE, TrainingJob, train
+from learned.training_record import SETTINGS_FILE
+from learned.training_study import CPU_DEVICE, TrainingRun, TrainingStudy, check_stages, free_study
 
-FOLDER = Path("carosac-results") / "train"
+RESULTS_FOLDER = Path("carosac-results") / "train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,38 +44,38 @@ class Options(CommonOptions):
     """Options of ``carosac train``."""
 
     preset: str = "carosac"
-    """What is learned, and how: `paper`, `carosac` or `residual`."""
+    """Preset of task and method: `paper`, `carosac` or `residual`."""
     robot: str = "carosac"
     """A bundled robot or a YAML file."""
     stage: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE")] = ()
-    """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in their order. A
+    """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in order. A
     later stage starts from the one before it in the same folder."""
     steps: int | None = None
-    """Environment steps of each stage, instead of those of the preset: for a first look."""
+    """Environment steps of each stage, instead of the preset's: for a first look."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
-    """Setting that is not the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all stages,
-    with STAGE. in front for one, VALUE as JSON or text; may be given several times."""
+    """Setting that replaces the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all
+    stages, with STAGE. in front for one; VALUE is JSON or text. May be given several times."""
     seeds: int | None = None
-    """How many trainings, with seeds counted up from --seed."""
+    """Number of trainings, with seeds from --seed upwards."""
     vary: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
-    """Setting with several values, each of which is trained: td3.FIELD=[VALUE, VALUE, ...]; given
-    several times, every combination is."""
+    """Setting to vary, with a training for each value: td3.FIELD=[VALUE, VALUE, ...]. Given several
+    times, all combinations are trained."""
     scheduler: str | None = None
     """With --seeds or --vary: address of a dask scheduler, such as tcp://host:8786, whose workers
     share the output folder."""
     workers: int | None = None
-    """With --seeds or --vary: worker processes on this machine; 0 is none but this one; by default
-    one per core."""
-    device: str = CPU
-    """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
+    """With --seeds or --vary: worker processes on this machine; 0 trains in this process; by
+    default one per core."""
+    device: str = CPU_DEVICE
+    """Warp device of the worlds, such as cuda: a GPU pays off from hundreds of worlds, with --set
     td3.environments=NUMBER. Networks are trained on the CPU."""
     output: OutputFolder = None
-    """Folder for all of it; by default one in carosac-results/train. What is there is gone on
-    with."""
+    """Folder for all results; by default one in carosac-results/train. An interrupted training
+    there is resumed."""
 
 
 def run(options: Options) -> CommandResult:
@@ -92,7 +92,7 @@ def run(options: Options) -> CommandResult:
     check_whole("--seed", options.seed, 0)
     first = options.seed
     trainings = [
-        Training(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
+        TrainingRun(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
                  steps=options.steps, fixed=fixed, varied=varied, device=options.device)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
@@ -106,7 +106,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
-    """Names of the stages to train, in the order of the preset."""
+    """Return the names of the stages to train, in the order of the preset."""
     wanted = [name.replace("-", "_") for name in asked]
     for k, name in enumerate(wanted):
         if name not in preset.stages:
@@ -115,15 +115,15 @@ def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
     return [name for name in preset.stages if name in wanted or not wanted]
 
 
-def _train_once(options: Options, preset: Preset, training: Training) -> CommandResult:
-    """One training in this process."""
+def _train_once(options: Options, preset: Preset, training: TrainingRun) -> CommandResult:
+    """Train once, in this process."""
     for name in ("workers", "scheduler"):
         if getattr(options, name) is not None:
             allowed = "nothing without --seeds or --vary"
             raise InvalidField(f"--{name}", getattr(options, name), allowed)
     robot = load_robot(options.robot)
     place = _name(options, training, robot.name, f"seed{options.seed}")
-    folder = options.output or FOLDER / place
+    folder = options.output or RESULTS_FOLDER / place
     if (folder / MANIFEST_FILE).exists():
         raise InvalidField("--output", f"'{folder}'", "a folder without a study in it")
     jobs = training.jobs(robot, folder)
@@ -134,14 +134,14 @@ def _train_once(options: Options, preset: Preset, training: Training) -> Command
     return CommandResult(data | {"stages": stages})
 
 
-def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> CommandResult:
-    """Several trainings on the study engine."""
+def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -> CommandResult:
+    """Train many times, on the study engine."""
     from learned.training_report import report
 
     check_stages(trainings[0].stages, preset.name)
     robot = load_robot(options.robot)
     if options.output is None:
-        base = FOLDER / _name(options, trainings[0], robot.name, "study")
+        base = RESULTS_FOLDER / _name(options, trainings[0], robot.name, "study")
         study = free_study(base, trainings)
         if study.folder != base:
             print(wrapped(f"{base} holds other trainings, so these go elsewhere", terminal_width()))
@@ -149,7 +149,7 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
         study = TrainingStudy(trainings=tuple(trainings), folder=options.output)
     check_folder("--output", study.folder)
     for name in trainings[0].stages:
-        if (study.folder / name / SETTINGS).exists():
+        if (study.folder / name / SETTINGS_FILE).exists():
             allowed = "a folder without a single training in it"
             raise InvalidField("--output", f"'{study.folder}'", allowed)
     if options.scheduler is not None:
@@ -166,12 +166,12 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
         _say_when_it_begins(job.stage)
     rows = study.run(workers=options.workers, scheduler=options.scheduler)
     data = {"preset": trainings[0].fixed_name, "robot": robot.name, "folder": study.folder}
-    found = report(study, rows)
+    results = report(study, rows)
     complete = all(row["status"] == "ok" for row in rows)
-    return CommandResult(data | found, status=0 if complete else 1)
+    return CommandResult(data | results, status=0 if complete else 1)
 
 
-def _train(job: Job, folder: Path) -> dict[str, Any]:
+def _train(job: TrainingJob, folder: Path) -> dict[str, Any]:
     """Train a stage and draw its curve."""
     from learned.pictures.training import curve_of, learning_curves
 
@@ -181,11 +181,11 @@ def _train(job: Job, folder: Path) -> dict[str, Any]:
     try:
         policy = train(job, folder, report=_report)
     except KeyboardInterrupt:
-        if (folder / CHECKPOINT).exists():
+        if (folder / CHECKPOINT_FILE).exists():
             print("stopped; the same command goes on from the last checkpoint", flush=True)
         raise
     assert policy is not None
-    rows = read_curve(folder / CURVE)
+    rows = read_curve(folder / CURVE_FILE)
     curve = curve_of(folder, f"seed {job.seed}")
     if curve is not None:
         learning_curves([curve], folder / "curve.png")
@@ -218,10 +218,10 @@ def _report(row: dict[str, float], left: float) -> None:
     )
 
 
-def _name(options: Options, training: Training, robot: str, last: str) -> str:
-    """Folder of what was not sent anywhere; short trainings, and devices, apart."""
+def _name(options: Options, training: TrainingRun, robot: str, last: str) -> str:
+    """Return the name of the default folder, with what differs from usual trainings."""
     parts = [training.fixed_name, robot, last]
-    if options.device != CPU:
+    if options.device != CPU_DEVICE:
         parts.append(options.device.replace(":", ""))
     if options.steps is not None:
         parts.append(f"{options.steps}steps")

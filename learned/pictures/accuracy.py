@@ -31,12 +31,12 @@ from learned.pictures.files import save
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MM = 1e3
-BOX = "#8a8a8a"
-BINS = 40
-SHOWN = 99.0  # percent of the values that a histogram must show
-FAR = 1.5  # times as far as those: the rest is counted, not drawn
-MOST = len(SERIES_COLORS)  # paths that can be told apart
+MM_PER_M = 1e3
+BOX_COLOR = "#8a8a8a"
+HISTOGRAM_BINS = 40
+SHOWN_PERCENT = 99.0  # percent of the values that a histogram must show
+OUTLIER_RATIO = 1.5  # times as far as those: the rest is counted, not drawn
+PATHS_DRAWN_MAX = len(SERIES_COLORS)  # paths that can be told apart
 
 
 def error_histograms(
@@ -56,7 +56,7 @@ def error_histograms(
         "mean |length error|": batch("mean_length_error", mean_length_error, ()),
     }
     for axes, color, (label, values) in zip(panels, SERIES_COLORS, errors.items(), strict=False):
-        _histogram(axes, MM * values, color)
+        _histogram(axes, MM_PER_M * values, color)
         axes.set_xlabel(f"{label} of a trajectory [mm]")
         axes.set_ylabel("trajectories [-]")
     count = len(errors["mean position error"])
@@ -72,7 +72,7 @@ def error_violins(errors: ArrayLike, path: str | Path, *, what: str = "position 
         path: Picture file.
         what: Of what they are errors.
     """
-    values = MM * np.abs(batch("errors", errors, (3,)))
+    values = MM_PER_M * np.abs(batch("errors", errors, (3,)))
     figure = new_figure(6.4, 4.6)
     axes = figure.subplots()
     for place, (column, color) in enumerate(zip(values.T, SERIES_COLORS, strict=False)):
@@ -101,20 +101,20 @@ def sample_paths(
         path: Picture file.
     """
     wanted = batch("reference", reference, (*np.shape(reference)[1:2], 3))
-    found = batch("reached", reached, wanted.shape[1:])
-    if len(found) != len(wanted) or len(wanted) > MOST:
-        allowed = f"as many as references, {MOST} at most"
-        raise InvalidField("reached", f"{len(found)} paths for {len(wanted)}", allowed)
+    reached_paths = batch("reached", reached, wanted.shape[1:])
+    if len(reached_paths) != len(wanted) or len(wanted) > PATHS_DRAWN_MAX:
+        allowed = f"as many as references, {PATHS_DRAWN_MAX} at most"
+        raise InvalidField("reached", f"{len(reached_paths)} paths for {len(wanted)}", allowed)
     figure = new_figure(12.0, 7.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
     corners = np.stack([robot.workspace_min, robot.workspace_max])
-    limits = limits_of([wanted.reshape(-1, 3), found.reshape(-1, 3), corners])
-    _paths(space, wanted, found, robot, (0, 1, 2))
+    limits = limits_of([wanted.reshape(-1, 3), reached_paths.reshape(-1, 3), corners])
+    _paths(space, wanted, reached_paths, robot, (0, 1, 2))
     set_space(space, limits)
     for row, (pair, title) in enumerate(views(robot)):
         axes = figure.add_subplot(grid[row, 1])
-        _paths(axes, wanted, found, robot, pair)
+        _paths(axes, wanted, reached_paths, robot, pair)
         axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
         axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
         axes.set_title(title, fontsize=9)
@@ -131,13 +131,13 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         groups: RMSE of each trajectory along each axis of W [m], shape (N, 3), by name.
         path: Picture file.
     """
-    if not 0 < len(groups) <= MOST:
-        raise InvalidField("groups", len(groups), f"1 to {MOST} groups")
+    if not 0 < len(groups) <= PATHS_DRAWN_MAX:
+        raise InvalidField("groups", len(groups), f"1 to {PATHS_DRAWN_MAX} groups")
     figure = new_figure(12.0, 4.6)
     panels = figure.subplots(1, 3)
     colors = dict(zip(groups, SERIES_COLORS, strict=False))
     for place, (name, errors) in enumerate(groups.items()):
-        values = MM * batch(name, errors, (3,))
+        values = MM_PER_M * batch(name, errors, (3,))
         for axes, column in zip(panels, values.T, strict=True):
             draw_bell(axes, column, -0.13 * (place + 1), colors[name])
     for axes, name in zip(panels, "xyz", strict=True):
@@ -173,13 +173,13 @@ def errors_over_time(
         rests: Start and end of each rest [s].
         marks: Where one trajectory ends and the next begins [s].
     """
-    if not 0 < len(errors) <= MOST:
-        raise InvalidField("errors", len(errors), f"1 to {MOST} of them")
+    if not 0 < len(errors) <= PATHS_DRAWN_MAX:
+        raise InvalidField("errors", len(errors), f"1 to {PATHS_DRAWN_MAX} of them")
     when = batch("time", time, ())
     figure = new_figure(12.0, 7.6)
     panels = figure.subplots(3, 1, sharex=True)
-    for (name, given), color in zip(errors.items(), SERIES_COLORS, strict=False):
-        values = MM * np.abs(batch(name, given, (3,)))
+    for (name, series), color in zip(errors.items(), SERIES_COLORS, strict=False):
+        values = MM_PER_M * np.abs(batch(name, series, (3,)))
         if len(values) != len(when):
             raise InvalidField(name, f"{len(values)} errors", f"{len(when)}, one for each time")
         for axes, column in zip(panels, values.T, strict=True):
@@ -204,9 +204,11 @@ def errors_over_time(
 
 def _histogram(axes: Any, values: Array, color: str) -> None:
     """Draw a histogram of what is not far away, its median and its 95th percentile."""
-    end = FAR * float(np.percentile(values, SHOWN))
+    end = OUTLIER_RATIO * float(np.percentile(values, SHOWN_PERCENT))
     shown = values[values <= end] if end > 0.0 else values
-    axes.hist(shown, bins=BINS, range=(0.0, float(shown.max()) or 1.0), color=color, alpha=0.6)
+    axes.hist(
+        shown, bins=HISTOGRAM_BINS, range=(0.0, float(shown.max()) or 1.0), color=color, alpha=0.6
+    )
     for style, name, percent in (("-", "median", 50.0), ("--", "95th percentile", 95.0)):
         value = float(np.percentile(values, percent))
         axes.axvline(value, color=MEASURED_COLOR, lw=1.2, ls=style, label=f"{name} {value:.1f} mm")
@@ -222,7 +224,7 @@ def _histogram(axes: Any, values: Array, color: str) -> None:
     axes.set_axisbelow(True)
 
 
-def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int, ...]) -> None:
+def _paths(axes: Any, wanted: Array, paths: Array, robot: Robot, view: tuple[int, ...]) -> None:
     """Draw the workspace box and all paths in one view."""
     columns = list(view)
     ends = np.stack([robot.workspace_min, robot.workspace_max])[:, columns]
@@ -230,11 +232,11 @@ def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int
     edges = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
     for k, edge in enumerate(edges):
         label = None if k else "workspace box"
-        axes.plot(*np.stack(edge).T, color=BOX, lw=0.9, ls=":", label=label)
+        axes.plot(*np.stack(edge).T, color=BOX_COLOR, lw=0.9, ls=":", label=label)
     for k, reference in enumerate(wanted[..., columns]):
         label = None if k else "reference"
         axes.plot(*reference.T, color=MEASURED_COLOR, lw=0.9, ls="--", label=label, zorder=3)
         axes.plot(*reference[:1].T, "o", color=MEASURED_COLOR, ms=3.5, zorder=3)
-    for k, reached in enumerate(found[..., columns]):
+    for k, reached in enumerate(paths[..., columns]):
         label = None if k else "reached"
         axes.plot(*reached.T, color=SERIES_COLORS[k], lw=1.5, label=label, zorder=2)

@@ -10,8 +10,8 @@ from carosac_toolkit.base.files import check_writable, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 130
-SUFFIXES = (".png", ".svg", ".pdf")
+PICTURE_DPI = 130
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def save(figure: Figure, path: str | Path) -> Figure:
@@ -20,7 +20,7 @@ def save(figure: Figure, path: str | Path) -> Figure:
     Raises:
         InvalidField: The file cannot be written, or is no picture by its suffix.
     """
-    check_writable("path", Path(path), SUFFIXES)
+    check_writable("path", Path(path), PICTURE_SUFFIXES)
     with replacing(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=DPI)
+        figure.savefig(temporary, dpi=PICTURE_DPI)
     return figure

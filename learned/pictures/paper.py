@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING
 from carosac_toolkit.pictures.paper_figure import Drawn, FigureSource, PaperFigure, of_kind
 from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 from learned.pictures.reward_figure import paper_reward_terms
-from learned.pictures.training import Curve, curve_of, learning_curves
+from learned.pictures.training import LearningCurve, curve_of, learning_curves
 from learned.saved_scores import SavedScores
 from learned.scores import sound_paths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POLICY = "policy"
-TRAIN = "carosac train --preset paper --output DIR"
-NO_SAG = "carosac evaluate POLICY --protocol no-sag --output DIR"
-SETTLE = "carosac evaluate POLICY --protocol settle --output DIR"
+POLICY_SCORES = "policy"
+TRAIN_COMMAND = "carosac train --preset paper --output DIR"
+NO_SAG_COMMAND = "carosac evaluate POLICY --protocol no-sag --output DIR"
+SETTLE_COMMAND = "carosac evaluate POLICY --protocol settle --output DIR"
 
 
 def _made(draw: Callable[[Path], Figure]) -> Figure:
-    """A figure of a function that also wants to write it somewhere."""
+    """Return the figure of a function that also writes it somewhere."""
     with tempfile.TemporaryDirectory() as folder:
         return draw(Path(folder) / "figure.svg")
 
@@ -32,11 +32,13 @@ def _made(draw: Callable[[Path], Figure]) -> Figure:
 def _evaluated(
     draw: Callable[[SavedScores, Path], Figure], protocols: Sequence[str]
 ) -> Callable[[Sequence[FigureSource]], list[Drawn]]:
-    """A figure of an evaluation: of the first of these protocols that there is."""
+    """Return the figure of an evaluation: the first of these protocols that exists."""
 
     def drawn(sources: Sequence[FigureSource]) -> list[Drawn]:
         there = {folder: SavedScores.read(folder) for folder in of_kind(sources, "evaluation")}
-        sound = {k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY]).any()}
+        sound = {
+            k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY_SCORES]).any()
+        }
         for protocol in protocols:
             for folder, saved in sound.items():
                 if saved.protocol == protocol:
@@ -48,8 +50,8 @@ def _evaluated(
 
 
 def _trained(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """One figure for each stage, with the curves of all its trainings."""
-    stages: dict[str, dict[Path, Curve]] = {}
+    """Return one figure for each stage, with the curves of all its trainings."""
+    stages: dict[str, dict[Path, LearningCurve]] = {}
     folders = of_kind(sources, "training")
     for folder in folders:
         name = folder.parent.name
@@ -68,13 +70,13 @@ def _trained(sources: Sequence[FigureSource]) -> list[Drawn]:
 
 
 def _rewards(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """From the functions that train: no data."""
+    """Return the figure of the reward functions, which needs no data."""
     return [Drawn(figure=_made(paper_reward_terms))]
 
 
 FIGURES = (
     PaperFigure(
-        place=5, name="reward", command=TRAIN, draw=_trained,
+        place=5, name="reward", command=TRAIN_COMMAND, draw=_trained,
         what="reward of each episode, raw and smoothed, of each stage",
     ),
     PaperFigure(
@@ -82,20 +84,22 @@ FIGURES = (
         what="terms of the reward against their variables",
     ),
     PaperFigure(
-        place=7, name="error_histograms", command=NO_SAG,
-        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY], path),
+        place=7, name="error_histograms", command=NO_SAG_COMMAND,
+        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY_SCORES], path),
                         ("no-sag", "settle", "realtime")),
         what="mean position and length error over trajectories",
     ),
     PaperFigure(
-        place=8, name="sample_paths", command=NO_SAG,
-        draw=_evaluated(lambda saved, path: draw_paths(saved.scores[POLICY], saved.robot, path),
-                        ("no-sag", "settle", "realtime")),
+        place=8, name="sample_paths", command=NO_SAG_COMMAND,
+        draw=_evaluated(
+            lambda saved, path: draw_paths(saved.scores[POLICY_SCORES], saved.robot, path),
+            ("no-sag", "settle", "realtime"),
+        ),
         what="sample paths in space",
     ),
     PaperFigure(
-        place=9, name="trajectory_violins", command=SETTLE,
-        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY], path),
+        place=9, name="trajectory_violins", command=SETTLE_COMMAND,
+        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY_SCORES], path),
                         ("settle", "realtime", "no-sag")),
         what="absolute error per axis over trajectories",
     ),

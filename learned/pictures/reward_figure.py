@@ -20,8 +20,8 @@ from learned.rewards import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SAMPLES = 401
-DRAWN = {
+CURVE_SAMPLES = 401
+DRAWN_TERMS = {
     "step": (step_reward, "distance to the target [m]", 0.2),
     "goal": (goal_reward, "distance to the target [m]", 0.2),
     "distance": (distance_reward, "distance over the largest in the workspace [-]", 1.0),
@@ -38,7 +38,7 @@ def paper_reward_terms(path: str | Path) -> Figure:
         path: Picture file.
     """
     terms = {}
-    for name, (function, label, largest) in DRAWN.items():
-        variable = np.linspace(0.0, largest, SAMPLES)
+    for name, (function, label, largest) in DRAWN_TERMS.items():
+        variable = np.linspace(0.0, largest, CURVE_SAMPLES)
         terms[name] = (label, variable, function(variable))
     return reward_terms(terms, path)

@@ -18,10 +18,10 @@ from learned.pictures.files import save
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MM = 1e3
-LABEL = 36  # characters of a line
-HALF = 0.3  # of the mark of a median, in rows
-WIDE = 8.0  # ratio of errors from which their axis is logarithmic
+MM_PER_M = 1e3
+LABEL_WIDTH = 36  # characters of a line
+MEDIAN_HALF_HEIGHT = 0.3  # of the mark of a median, in rows
+LOG_AXIS_RATIO = 8.0  # ratio of errors from which their axis is logarithmic
 
 
 def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
@@ -33,23 +33,28 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     """
     if not errors:
         raise InvalidField("errors", "none", "at least one variation")
-    lines = sum(max(1, -(-len(name) // LABEL)) for name in errors)
+    lines = sum(max(1, -(-len(name) // LABEL_WIDTH)) for name in errors)
     figure = new_figure(8.0, 1.4 + 0.1 * len(errors) + 0.32 * lines)
     axes = figure.subplots()
-    found = {name: MM * batch(name, values, ()) for name, values in errors.items()}
-    for k, values in enumerate(found.values()):
+    groups = {name: MM_PER_M * batch(name, values, ()) for name, values in errors.items()}
+    for k, values in enumerate(groups.values()):
         axes.plot(values, np.full(len(values), k), "o", color=SERIES_COLORS[1], ms=6.0, alpha=0.7,
                   mew=0.0)  # fmt: skip
         middle = float(np.median(values))
-        axes.plot([middle, middle], [k - HALF, k + HALF], color=MEASURED_COLOR, lw=1.6)
-    every = np.concatenate(list(found.values()))
-    if every.min() > 0.0 and every.max() > WIDE * every.min():
+        axes.plot(
+            [middle, middle],
+            [k - MEDIAN_HALF_HEIGHT, k + MEDIAN_HALF_HEIGHT],
+            color=MEASURED_COLOR,
+            lw=1.6,
+        )
+    every = np.concatenate(list(groups.values()))
+    if every.min() > 0.0 and every.max() > LOG_AXIS_RATIO * every.min():
         axes.set_xscale("log")
     else:
         axes.set_xlim(left=0.0)
-    labels = [textwrap.fill(name, LABEL) for name in found]
-    axes.set_yticks(range(len(found)), labels)
-    axes.set_ylim(len(found) - 0.5, -0.5)
+    labels = [textwrap.fill(name, LABEL_WIDTH) for name in groups]
+    axes.set_yticks(range(len(groups)), labels)
+    axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.set_xlabel("median position error after training [mm]")
     axes.grid(alpha=0.25, axis="x")
     figure.suptitle("Variations; dots: seeds, line: their median")

@@ -11,21 +11,26 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_figure, put_legend
-from learned.curve import CURVE, EPISODES, read_curve, read_episodes
+from carosac_toolkit.pictures.drawing import (
+    MEASURED_COLOR,
+    SERIES_COLORS,
+    new_figure,
+    put_legend,
+)
+from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
 from learned.pictures.files import save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MM = 1e3
-SMOOTHED = 0.04  # of the points: the window of the smoothed line
-COLUMNS = 3
-WIDE = 8.0  # ratio of errors from which their axis is logarithmic
+MM_PER_M = 1e3
+SMOOTHING_RATIO = 0.04  # of the points: the window of the smoothed line
+PANEL_COLUMNS = 3
+LOG_AXIS_RATIO = 8.0  # ratio of errors from which their axis is logarithmic
 
 
-class Curve(TypedDict):
-    """What one training left behind, E episodes and K evaluations.
+class LearningCurve(TypedDict):
+    """Learning curve of one training, E episodes and K evaluations.
 
     Attributes:
         steps: Environment steps at the end of each episode, shape (E,).
@@ -44,8 +49,8 @@ class Curve(TypedDict):
     name: NotRequired[str]
 
 
-def curve_of(folder: Path, name: str) -> Curve | None:
-    """The learning curve of a training, as its picture wants it.
+def curve_of(folder: Path, name: str) -> LearningCurve | None:
+    """Read the learning curve of a training for its picture.
 
     Args:
         folder: Of the training. Where older code left no file of episodes, their means between
@@ -55,7 +60,7 @@ def curve_of(folder: Path, name: str) -> Curve | None:
     Returns:
         The curve; None before the second episode or mean.
     """
-    rows, ended = read_curve(folder / CURVE), folder / EPISODES
+    rows, ended = read_curve(folder / CURVE_FILE), folder / EPISODES_FILE
     if ended.is_file():
         points = [(float(one.steps), one.reward) for one in read_episodes(ended)]
     else:
@@ -63,7 +68,7 @@ def curve_of(folder: Path, name: str) -> Curve | None:
     if len(points) < 2:
         return None
     steps, reward = np.array(points).T
-    curve = Curve(steps=steps, reward=reward, averaged=not ended.is_file(), name=name)
+    curve = LearningCurve(steps=steps, reward=reward, averaged=not ended.is_file(), name=name)
     scored = [row for row in rows if np.isfinite(row["median_error_m"])]  # not all paths failed
     if scored:
         curve["evaluated_steps"] = [row["steps"] for row in scored]
@@ -81,7 +86,7 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
     """
     if not terms:
         raise InvalidField("terms", "none", "at least one term")
-    columns = 2 if len(terms) == 4 else min(COLUMNS, len(terms))
+    columns = 2 if len(terms) == 4 else min(PANEL_COLUMNS, len(terms))
     rows = -(-len(terms) // columns)
     figure = new_figure(4.0 * columns, 0.5 + 2.8 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -102,7 +107,7 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
 
 
 def learning_curves(
-    curves: Sequence[Curve], path: str | Path, *, marks: Mapping[str, float] | None = None
+    curves: Sequence[LearningCurve], path: str | Path, *, marks: Mapping[str, float] | None = None
 ) -> Figure:
     """Draw the reward of each episode, raw and smoothed, and the error at each evaluation.
 
@@ -136,8 +141,8 @@ def learning_curves(
     return save(figure, path)
 
 
-def smoothed(steps: Array, values: Array, share: float = SMOOTHED) -> tuple[Array, Array]:
-    """Moving mean over a centred window; at the ends over what of the window there is.
+def smoothed(steps: Array, values: Array, share: float = SMOOTHING_RATIO) -> tuple[Array, Array]:
+    """Average over a centred window, cut off at the ends.
 
     Args:
         steps: Not falling, shape (E,); episodes that end together share one point.
@@ -156,7 +161,7 @@ def smoothed(steps: Array, values: Array, share: float = SMOOTHED) -> tuple[Arra
     return when, mean
 
 
-def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
+def _draw_reward(axes: Any, curve: LearningCurve, color: str, label: str) -> None:
     """Draw the reward of one training."""
     steps, reward = _pair("steps", curve["steps"], "reward", curve["reward"])
     if curve.get("averaged", False):
@@ -171,27 +176,27 @@ def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
     axes.plot(when, mean, color=color, lw=1.8, marker=alone, ms=3.5, label=label, zorder=2)
 
 
-def _legend(curves: Sequence[Curve]) -> list[str]:
-    """What the marks of the rewards are."""
+def _legend(curves: Sequence[LearningCurve]) -> list[str]:
+    """Explain the marks of the rewards."""
     averaged = {curve.get("averaged", False) for curve in curves}
-    said = []
+    lines = []
     if False in averaged:
-        share = f"{100 * SMOOTHED:.0f} %"
-        said.append(
+        share = f"{100 * SMOOTHING_RATIO:.0f} %"
+        lines.append(
             f"pale: each episode; line: moving mean of {share}, or of all that end together"
         )
     if True in averaged:
-        said.append("dots on a line: mean of the episodes since the dot before")
-    return said
+        lines.append("dots on a line: mean of the episodes since the dot before")
+    return lines
 
 
-def _draw_errors(axes: Any, curve: Curve, color: str) -> None:
+def _draw_errors(axes: Any, curve: LearningCurve, color: str) -> None:
     """Draw the evaluations of one training."""
     if "evaluated_steps" not in curve:
         raise InvalidField("evaluated_steps", "none", "the steps of each median_error")
     when, what = curve["evaluated_steps"], curve["median_error"]
     steps, error = _pair("evaluated_steps", when, "median_error", what)
-    axes.plot(steps, MM * error, color=color, lw=1.5, marker="o", ms=3.5)
+    axes.plot(steps, MM_PER_M * error, color=color, lw=1.5, marker="o", ms=3.5)
 
 
 def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
@@ -200,12 +205,13 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
 
     drawn = np.concatenate([line.get_ydata() for line in axes.lines])
     for name, mark in marks.items():
-        axes.axhline(MM * mark, color=MEASURED_COLOR, lw=1.0, ls="--")
+        axes.axhline(MM_PER_M * mark, color=MEASURED_COLOR, lw=1.0, ls="--")
         axes.annotate(
-            f"{name}: {MM * mark:g} mm", (0.0, MM * mark), xycoords=axes.get_yaxis_transform(),
+            f"{name}: {MM_PER_M * mark:g} mm", (0.0, MM_PER_M * mark),
+            xycoords=axes.get_yaxis_transform(),
             xytext=(5, 3), textcoords="offset points", fontsize=8,
         )  # fmt: skip
-    if len(drawn) and drawn.min() > 0.0 and drawn.max() > WIDE * drawn.min():
+    if len(drawn) and drawn.min() > 0.0 and drawn.max() > LOG_AXIS_RATIO * drawn.min():
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
@@ -216,14 +222,14 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
 
 
 def _pair(name: str, x: ArrayLike, other: str, y: ArrayLike) -> tuple[Array, Array]:
-    """Two arrays of the same shape (S,), finite, or an error that names the one that is not."""
+    """Check two arrays of one shape (S,), finite; name the one that is not."""
     first, second = batch(name, x, ()), batch(other, y, ())
     if len(first) != len(second):
         raise InvalidField(other, f"{len(second)} values", f"{len(first)} values, one per {name}")
     return first, second
 
 
-def _name(curve: Curve, k: int) -> str:
+def _name(curve: LearningCurve, k: int) -> str:
     return curve.get("name", f"training {k + 1}")
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController, UnreachableReference
-from baselines.reference_ahead import AheadSettings
+from baselines.lookahead import LookaheadSettings
 from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
@@ -67,7 +67,7 @@ def live(plugin, settings, *, rest=1.0, robot=None):
 @pytest.mark.parametrize("delay", [0.0, 0.04, 0.05, None])
 def test_lengths_are_those_of_the_reference_ahead(plugin, delay, make):
     robot, velocity = make(), np.array([0.2, -0.1, 0.3])
-    controller = plugin.build(robot, AheadSettings(delay=delay))
+    controller = plugin.build(robot, LookaheadSettings(delay=delay))
     rows = 1 + round(controller.horizon / controller.period)
     reference = steady(robot, velocity, rows)
     controller.reset(believed(robot))
@@ -106,8 +106,8 @@ def test_reference_of_each_row_of_a_batch_is_its_own(plugin):
 
 
 def test_aiming_ahead_takes_the_lag_out():
-    moving, time, path = live(KinematicSolverController, AheadSettings(delay=None))
-    late, *_ = live(KinematicSolverController, AheadSettings(delay=0.0))
+    moving, time, path = live(KinematicSolverController, LookaheadSettings(delay=None))
+    late, *_ = live(KinematicSolverController, LookaheadSettings(delay=0.0))
     under_way = (time > 0.3) & (time < path.duration)
     ratio = np.sqrt((late[under_way] ** 2).mean() / (moving[under_way] ** 2).mean())
     assert ratio > 10.0
@@ -117,16 +117,16 @@ def test_aiming_ahead_takes_the_lag_out():
 
 def test_compensation_follows_the_lag_of_the_nominal_robot():
     slow = simple_robot(winch_lag=[0.2] * 4)
-    moving, time, path = live(KinematicSolverController, AheadSettings(), robot=slow)
-    late, *_ = live(KinematicSolverController, AheadSettings(delay=0.0), robot=slow)
+    moving, time, path = live(KinematicSolverController, LookaheadSettings(), robot=slow)
+    late, *_ = live(KinematicSolverController, LookaheadSettings(delay=0.0), robot=slow)
     under_way = (time > 0.5) & (time < path.duration)
     assert moving[under_way].max() < 0.35 * late[under_way].max()
     assert KinematicSolverController.build(slow).horizon == pytest.approx(0.22)
 
 
 def test_integral_gain_takes_out_a_constant_error():
-    without, *_ = live(StraightLineController, AheadSettings(), rest=6.0)
-    with_gain, *_ = live(StraightLineController, AheadSettings(gain=1.5), rest=6.0)
+    without, *_ = live(StraightLineController, LookaheadSettings(), rest=6.0)
+    with_gain, *_ = live(StraightLineController, LookaheadSettings(gain=1.5), rest=6.0)
     assert without[-1] > 0.05  # tilt, which straight lines do not know
     assert with_gain[-1] < 0.01 * without[-1]
 
@@ -134,7 +134,7 @@ def test_integral_gain_takes_out_a_constant_error():
 @pytest.mark.parametrize("plugin", BOTH)
 def test_the_correction_integrates_the_believed_error(plugin):
     robot = simple_robot()
-    controller = plugin.build(robot, AheadSettings(gain=2.0, delay=0.0))
+    controller = plugin.build(robot, LookaheadSettings(gain=2.0, delay=0.0))
     controller.reset(believed(robot))
     off = np.array([0.02, -0.01, 0.03])
     for _ in range(5):
@@ -159,7 +159,7 @@ def test_a_reference_at_which_it_cannot_rest_is_named_with_the_reason():
 def test_they_are_installed_under_their_names(plugin):
     names = {plugins.load("controllers", x) for x in ("straight_line", "kinematic_solver")}
     assert plugin in names
-    assert plugin.build(simple_robot(), seed=1).period == AheadSettings().period
+    assert plugin.build(simple_robot(), seed=1).period == LookaheadSettings().period
 
 
 @pytest.mark.parametrize(
@@ -167,4 +167,4 @@ def test_they_are_installed_under_their_names(plugin):
 )
 def test_settings_that_make_no_sense_are_refused(name, value):
     with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: {name} >"):
-        AheadSettings(**{name: value})
+        LookaheadSettings(**{name: value})

@@ -219,6 +219,26 @@ def test_a_stiff_robot_gets_no_shaping():
     assert controller.horizon == KinematicSolverController.build(robot).horizon
 
 
+def test_modes_that_are_not_slower_than_is_set_are_left_unshaped():
+    modes = [
+        InputShaping.build(simple_robot(), InputShapingSettings(frequency_max=limit)).modes
+        for limit in (0.0, 3.0, 100.0)
+    ]
+    assert modes[0] == 0 < modes[1] < modes[2] == 6
+
+
+def test_the_look_ahead_is_whole_only_after_the_start_time():
+    """A move that begins before that is prepared less early."""
+    begins = []
+    for start_time in (1.0, 8.0):
+        controller = InputShaping.build(simple_robot(), InputShapingSettings(start_time=start_time))
+        position = commanded(controller, Move((0.3, 0.0, 0.0), 0.5).window, 140)
+        moved = np.linalg.norm(position - position[0], axis=1) > 1e-3
+        begins.append(moved.argmax() * PERIOD)
+    assert begins[0] < START < begins[1] + controller.horizon
+    assert begins[1] - begins[0] > 0.1
+
+
 def test_what_cannot_be_is_said():
     robot, still = simple_robot(), Move((0.0, 0.0, 0.0), 1.0)
     controller = InputShaping.build(robot)

@@ -11,9 +11,9 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.policy_file import PolicyDescription, write_policy
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings
 
 pytest.importorskip("onnx")
 

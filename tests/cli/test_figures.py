@@ -14,9 +14,9 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.folder import opened
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.saved import SAMPLES_FILE, read_samples, samples_bytes
-from learned.curve import CURVE, EPISODES, Episode, write_curve, write_episodes
+from learned.learning_curve import CURVE_FILE, EPISODES_FILE, Episode, write_curve, write_episodes
 from learned.saved_scores import SavedScores
-from learned.scores import Scores
+from learned.scores import PolicyScores
 from tests.studies.tables import case, good, series, study
 from tests.validation.runs import ROBOT, perfect
 
@@ -45,7 +45,7 @@ def evaluation_in(folder, protocol):
     target = rng.uniform(-1.0, 1.0, size=(3, 25, 3)) + np.array([0.4, -1.8, 3.0])
     failed = np.zeros((3, 25), dtype=bool)
     failed[1, 10] = True
-    scores = Scores(
+    scores = PolicyScores(
         target=target, position=target + 0.01 * rng.normal(size=target.shape),
         length_error=0.01 * rng.normal(size=(3, 25, 4)), inconsistency=np.zeros((3, 25)),
         length=np.ones((3, 25, 4)), tilt=np.zeros((3, 25)), tension=None, failed=failed,
@@ -69,8 +69,8 @@ def training_in(folder):
         ("steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
          "p95_error_m", "rmse_m", "inconsistency_m", "failed_paths"), 0.1,
     )  # fmt: skip
-    write_curve(folder / CURVE, [row | {"steps": 100.0 * k} for k in (1, 2, 3)])
-    write_episodes(folder / EPISODES, [Episode(20 * k, float(k), 20) for k in range(1, 16)])
+    write_curve(folder / CURVE_FILE, [row | {"steps": 100.0 * k} for k in (1, 2, 3)])
+    write_episodes(folder / EPISODES_FILE, [Episode(20 * k, float(k), 20) for k in range(1, 16)])
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from carosac_toolkit.cli.main import main
 from learned import training_study
 from learned.commands.train import _report
-from learned.curve import COLUMNS
+from learned.learning_curve import CURVE_COLUMNS
 from learned.policy_file import Policy
 
 
@@ -59,7 +59,7 @@ def test_a_later_stage_of_another_seed_is_refused(trained, tmp_path, capsys):
 
 
 def test_paths_that_fail_are_told_in_the_table(capsys):
-    row = dict.fromkeys(COLUMNS, 0.0)
+    row = dict.fromkeys(CURVE_COLUMNS, 0.0)
     _report(row, 1.0)
     _report(row | {"failed_paths": 7.0}, 1.0)
     fine, bad = capsys.readouterr().out.splitlines()

@@ -8,7 +8,7 @@ from carosac_toolkit.physics.rest import statics
 from learned.actions import Absolute, Push
 from learned.environment import empty_look
 from learned.length_map import LengthMap
-from learned.observation import Scales, fading
+from learned.observation import ObservationScales, fading
 from learned.worlds import SettledWorlds
 from tests.robots import simple_robot
 
@@ -34,7 +34,7 @@ def leaning(robot, acceleration):
 
 
 def test_absolute_actions_are_lengths_whatever_there_is_to_see():
-    scales = Scales.of(ROBOT)
+    scales = ObservationScales.of(ROBOT)
     actions = Absolute(scales)
     action = np.array([[-1.0, 1.0, 0.0, 0.5]])
     look = empty_look(ROBOT, 0, 4)

@@ -8,11 +8,11 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.file import load_robot
-from learned.environment import FAILURE, CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
+from learned.environment import FAILURE_REWARD, CableEnvironment, EnvironmentSettings
 from learned.moving_worlds import MovingSettings
 from learned.observation import slices
 from learned.rewards import PAPER_SAG, RewardSettings
+from learned.target_paths import PathSettings
 from tests.robots import simple_robot
 
 SHORT = PathSettings(steps=4)
@@ -312,7 +312,7 @@ def test_a_step_without_solution_ends_the_episode_with_its_own_reward():
     result = environment.step(action)
     assert result.failed.tolist() == [False, True, False]
     assert result.truncated.tolist() == [False, True, False]  # cut short: failing saves nothing
-    assert result.reward[1] == FAILURE
+    assert result.reward[1] == FAILURE_REWARD
     assert environment.state()["step"].tolist() == [1, 0, 1]
     np.testing.assert_array_equal(result.observation[[0, 2]], result.final_observation[[0, 2]])
 

@@ -13,7 +13,6 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.rest import statics
 from learned import evaluation
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.evaluation import (
     evaluate,
     evaluate_inverse_kinematics,
@@ -24,9 +23,10 @@ from learned.evaluation import (
     trajectory_rmse,
 )
 from learned.moving_worlds import MovingSettings
-from learned.observation import Scales
+from learned.observation import ObservationScales
 from learned.policy_file import PolicyDescription
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings
 from tests.robots import simple_robot
 
 ROBOT = simple_robot()
@@ -60,7 +60,7 @@ def still(seen):
 
 def solver(offset=0.0):
     """The lengths of the target, a constant too long."""
-    scales = Scales.of(ROBOT)
+    scales = ObservationScales.of(ROBOT)
 
     def act(seen):
         rest = statics.inverse_kinematics(ROBOT, scales.center + scales.half * seen)
@@ -128,7 +128,7 @@ def test_paths_do_not_depend_on_the_period_and_keep_the_limits_of_the_protocol()
 
 
 def test_set_points_of_inverse_kinematics_are_reached_and_leave_no_cable_slack(monkeypatch):
-    monkeypatch.setattr(evaluation, "POINTS", 4)
+    monkeypatch.setattr(evaluation, "SET_POINTS_PER_PATH", 4)
     arguments = {"paths": 3, "seed": 1}
     exact = evaluate_inverse_kinematics(policy(SET_POINTS, None), "settle", **arguments)
     np.testing.assert_allclose(exact.error, 0.0, atol=1e-5)
@@ -174,10 +174,10 @@ def test_what_comes_after_the_end_of_a_path_is_no_part_of_its_errors(resting):
 
 def test_cables_that_errors_leave_slack_at_rest_are_counted_without_motion(monkeypatch):
     tried = policy(IN_MOTION, still)
-    exact = replace(evaluation.MOVING, perturbation="none", length_bias=0.0)
-    monkeypatch.setattr(evaluation, "MOVING", exact)
+    exact = replace(evaluation.EVALUATION_WORLDS, perturbation="none", length_bias=0.0)
+    monkeypatch.setattr(evaluation, "EVALUATION_WORLDS", exact)
     assert evaluation.slack_at_rest(tried, paths=4, seed=1) == 0.0
-    monkeypatch.setattr(evaluation, "MOVING", replace(exact, length_bias=0.3))
+    monkeypatch.setattr(evaluation, "EVALUATION_WORLDS", replace(exact, length_bias=0.3))
     assert 0.1 < evaluation.slack_at_rest(tried, paths=4, seed=1) <= 1.0
 
 

@@ -6,7 +6,7 @@ from learned.exploration_settings import ExplorationSettings
 
 pytest.importorskip("stable_baselines3")
 
-from learned.exploration import REVERSION, DecayingNoise
+from learned.exploration import NOISE_REVERSION, DecayingNoise
 
 
 def drawn(progress, count=400, seed=0):
@@ -24,7 +24,7 @@ def test_noise_remembers_what_the_process_of_ornstein_and_uhlenbeck_remembers():
     values = drawn(0.0)
     for lag in (1, 5):
         found = np.mean(values[lag:] * values[:-lag]) / np.mean(values**2)
-        assert found == pytest.approx((1.0 - REVERSION) ** lag, abs=0.02)
+        assert found == pytest.approx((1.0 - NOISE_REVERSION) ** lag, abs=0.02)
     rows = values[:, :, 0]
     assert abs(np.mean(rows[:, :-1] * rows[:, 1:])) < 0.02 * 0.04  # environments on their own
 
@@ -40,7 +40,7 @@ def test_where_an_episode_has_ended_noise_starts_at_zero():
     noise.restore(state)
     without = noise()
     np.testing.assert_array_equal(after[[0, 2]], without[[0, 2]])
-    np.testing.assert_allclose(without[1] - after[1], (1 - REVERSION) * before[1], rtol=1e-5)
+    np.testing.assert_allclose(without[1] - after[1], (1 - NOISE_REVERSION) * before[1], rtol=1e-5)
     noise.reset()
     assert np.abs(noise.state()["value"]).max() == 0.0
 

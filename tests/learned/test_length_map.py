@@ -111,7 +111,7 @@ def test_a_batch_is_its_rows(carosac):
 
 
 def test_a_robot_that_can_rest_in_little_of_its_box_is_refused(monkeypatch):
-    monkeypatch.setattr("learned.length_map.NODES", 6)  # 216; 168 are needed
+    monkeypatch.setattr("learned.length_map.CHEBYSHEV_NODES", 6)  # 216; 168 are needed
     high = simple_robot(workspace_max=[2.4, 0.2, 14.0])
     with pytest.raises(CarosacError, match=r"it can rest at .* % of its workspace box only"):
         LengthMap(high)

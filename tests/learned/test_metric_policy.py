@@ -6,7 +6,7 @@ spaces = pytest.importorskip("gymnasium.spaces")
 pytest.importorskip("stable_baselines3")
 metric_policy = pytest.importorskip("learned.metric_policy")
 
-TINY = metric_policy.TINY
+FLOOR_M2 = metric_policy.DISTANCE_FLOOR_M2
 SCALE, SPAN = 0.04, 6.93
 
 
@@ -54,7 +54,7 @@ def test_the_value_is_zero_where_both_embeddings_agree():
             net[-1].bias.fill_(0.3)
     observation, action = drawn(3)
     value = network.q1_forward(observation, action)
-    floor = -np.log1p(np.sqrt(TINY) / SCALE) / np.log1p(SPAN / SCALE)
+    floor = -np.log1p(np.sqrt(FLOOR_M2) / SCALE) / np.log1p(SPAN / SCALE)
     assert -5e-4 < floor < 0.0
     np.testing.assert_allclose(value.detach().numpy(), floor, rtol=1e-4)
     value.sum().backward()  # and its slope is finite there

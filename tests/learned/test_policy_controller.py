@@ -12,11 +12,10 @@ import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Belief
-from learned.curve import read_curve
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings, sampled
+from learned.learning_curve import read_curve
 from learned.policy_controller import (
-    DEFAULTS,
+    DEFAULT_POLICIES,
     PolicyController,
     PolicySettings,
     find_policy,
@@ -26,6 +25,7 @@ from learned.policy_controller import (
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.presets import find_preset
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings, sampled
 from learned.training_record import with_later_fields
 
 REALTIME = EnvironmentSettings(
@@ -242,8 +242,8 @@ def test_bundled_policies_are_those_of_the_presets(name):
 def test_policies_go_by_name_or_path(tmp_path):
     robot = ct.load_robot("carosac")
     assert policy_of(robot) == "carosac-residual"
-    assert set(DEFAULTS.values()) <= set(list_policies())
-    for name, default in DEFAULTS.items():
+    assert set(DEFAULT_POLICIES.values()) <= set(list_policies())
+    for name, default in DEFAULT_POLICIES.items():
         assert Policy.load(find_policy(default)).description.robot.name == name
     for name in list_policies():
         assert Policy.load(find_policy(name)).description.robot.name in name

@@ -13,7 +13,7 @@ from carosac_toolkit.robot.differences import differing
 from carosac_toolkit.robot.file import list_robots, load_robot
 from learned.environment import EnvironmentSettings
 from learned.policy_file import Policy, PolicyDescription, write_policy
-from learned.probe import make_probe
+from learned.policy_probe import make_probe
 from tests.robots import simple_robot
 
 onnx = pytest.importorskip("onnx")

@@ -6,7 +6,7 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from learned import rewards
-from learned.environment import FAILURE
+from learned.environment import FAILURE_REWARD
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, Reward, RewardSettings
 from tests.learned.transitions import STRAIGHT, transition
 from tests.robots import simple_robot
@@ -27,6 +27,14 @@ def test_the_goal_is_worth_one_inside_its_radius_and_nothing_on_it():
     distance = np.array([0.0, 0.04999, 0.05, 1.0])
     np.testing.assert_array_equal(rewards.goal_reward(distance), [1.0, 1.0, 0.0, 0.0])
     np.testing.assert_array_equal(rewards.goal_reward(distance, 0.01), [1.0, 0.0, 0.0, 0.0])
+
+
+def test_the_goal_is_as_large_as_is_set():
+    settings = RewardSettings(terms=("goal",), goal_radius=0.2)
+    step = dict(position=[[0.1, 0.0, 0.0], [0.3, 0.0, 0.0]], target=np.zeros((2, 3)))
+    np.testing.assert_array_equal(terms((), settings=settings, **step)["goal"], [1.0, 0.0])
+    usual = RewardSettings(terms=("goal",))
+    np.testing.assert_array_equal(terms((), settings=usual, **step)["goal"], [0.0, 0.0])
 
 
 def test_the_distance_term_is_that_of_the_paper():
@@ -118,7 +126,7 @@ def test_the_fit_falls_from_zero_at_the_target_to_minus_one_across_the_workspace
 
 def test_no_misfit_is_worse_than_a_step_without_a_solution():
     far = rewards.misfit_reward(np.array([SPAN, 2.0 * SPAN, 1e9]), 0.04, SPAN)
-    np.testing.assert_allclose(far, FAILURE, rtol=1e-15)
+    np.testing.assert_allclose(far, FAILURE_REWARD, rtol=1e-15)
 
 
 def test_relative_changes_of_the_misfit_count_alike_far_above_the_scale():

@@ -7,8 +7,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import Path, PathSettings
-from learned.scores import Scores, score
+from learned.scores import PolicyScores, score
+from learned.target_paths import PathSettings, TargetPath
 from tests.robots import simple_robot
 
 SHORT = PathSettings(steps=5)
@@ -81,7 +81,7 @@ def made_up(**changes):
     position = np.zeros((2, 4, 3))
     position[0, :, 0] = [0.01, 0.01, 0.01, 0.01]
     position[1, :, 2] = [-0.02, 0.04, -0.06, 0.08]
-    still = Scores(
+    still = PolicyScores(
         target=np.zeros((2, 4, 3)), position=position, length_error=np.zeros((2, 4, 4)),
         inconsistency=np.zeros((2, 4)), length=np.full((2, 4, 4), 7.0), tilt=np.zeros((2, 4)),
         tension=None, failed=np.zeros((2, 4), dtype=bool), counted=np.ones((2, 4), dtype=bool),
@@ -145,7 +145,7 @@ def test_scores_of_nothing_but_failures_are_no_numbers():
 
 def cut(path, steps):
     """The start of a path."""
-    return Path(**{name: getattr(path, name)[: steps + 1] for name in ROWS})
+    return TargetPath(**{name: getattr(path, name)[: steps + 1] for name in ROWS})
 
 
 def test_each_path_counts_to_its_own_end():
@@ -176,7 +176,7 @@ def test_only_the_longest_path_is_followed_to_the_end():
 def test_a_path_longer_than_an_episode_is_refused():
     environment = made(size=1)
     (path,) = paths_of(environment, 1)
-    longer = Path(**{
+    longer = TargetPath(**{
         name: np.concatenate([getattr(path, name)] * 2) for name in ROWS
     })  # fmt: skip
     with pytest.raises(InvalidField, match=r"paths\[1\]: got 11 steps; allowed: 5, those of an"):

@@ -15,14 +15,14 @@ import torch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.robot.file import load_robot
 from learned import training
-from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
+from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
 from learned.policy_file import Policy
 from learned.presets import PRESETS, Stage, Td3Settings
 from learned.rewards import RewardSettings
-from learned.training import Job, train
-from learned.training_record import SETTINGS, read_record
+from learned.target_paths import PathSettings
+from learned.training import TrainingJob, train
+from learned.training_record import SETTINGS_FILE, read_record
 from tests.robots import simple_robot
 
 TINY = Td3Settings(
@@ -54,17 +54,17 @@ STAGES = {
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     monkeypatch.setattr(training, "TEST_PATHS", 2)
-    monkeypatch.setattr(training, "TEST_STEPS", 5)
-    monkeypatch.setattr(training, "REPORT_STEPS", 80)
+    monkeypatch.setattr(training, "TEST_SET_POINTS", 5)
+    monkeypatch.setattr(training, "CURVE_INTERVAL_MIN", 80)
 
 
 def job(kind="metric", **changes):
-    made = Job(robot=simple_robot(), preset="tiny", stage_name="no_sag", stage=STAGES[kind])
+    made = TrainingJob(robot=simple_robot(), preset="tiny", stage_name="no_sag", stage=STAGES[kind])
     return replace(made, **changes)
 
 
 def checkpoint(folder):
-    return torch.load(folder / training.CHECKPOINT, weights_only=False)
+    return torch.load(folder / training.CHECKPOINT_FILE, weights_only=False)
 
 
 def flat(value, name=""):
@@ -85,12 +85,12 @@ def assert_same_state(first, second):
         assert set(one) == set(other)
         for key in one:
             np.testing.assert_array_equal(one[key], other[key], f"{name}{key}")
-    rows = [read_curve(folder / CURVE) for folder in (first, second)]
+    rows = [read_curve(folder / CURVE_FILE) for folder in (first, second)]
     assert len(rows[0]) == len(rows[1]) == 4
     for one, other in zip(*rows, strict=True):
         for key in set(one) - {"cpu_seconds"}:
             np.testing.assert_equal(one[key], other[key], key)
-    assert (first / EPISODES).read_bytes() == (second / EPISODES).read_bytes()
+    assert (first / EPISODES_FILE).read_bytes() == (second / EPISODES_FILE).read_bytes()
 
 
 @pytest.mark.parametrize("kind", STAGES)
@@ -99,7 +99,7 @@ def test_a_seed_repeats_and_kill_and_resume_is_no_kill_bit_for_bit(tmp_path, kin
     train(job(kind), tmp_path / "whole")
     for stop in (40, 200):  # among random steps, and after the replay has begun to overwrite
         assert train(job(kind), tmp_path / "killed", stop_after=stop) is None
-        assert not (tmp_path / "killed" / training.POLICY).exists()
+        assert not (tmp_path / "killed" / training.POLICY_FILE).exists()
         np.random.seed(stop)  # noqa: NPY002 - whatever the next process draws first
         torch.manual_seed(stop)
     train(job(kind), tmp_path / "killed")
@@ -113,7 +113,7 @@ def stopped_at(steps, number, folder):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
         "from learned import training\n"
         "from tests.learned.test_training import job\n"
-        "training.TEST_PATHS, training.TEST_STEPS, training.REPORT_STEPS = 2, 5, 80\n"
+        "training.TEST_PATHS, training.TEST_SET_POINTS, training.CURVE_INTERVAL_MIN = 2, 5, 80\n"
         "def stop(row, left):\n"
         f"    row['steps'] == {steps} and signal.raise_signal({int(number)})\n"
         f"training.train(job(), training.Path({str(folder)!r}), report=stop)\n"
@@ -130,10 +130,10 @@ def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
         assert ended.returncode == -number, ended.stderr
         assert "stopping after this step" in ended.stderr
         assert checkpoint(tmp_path / "stopped")["steps"] == steps
-        assert read_curve(tmp_path / "stopped" / CURVE)[-1]["steps"] == steps
-        assert not (tmp_path / "stopped" / training.POLICY).exists()
+        assert read_curve(tmp_path / "stopped" / CURVE_FILE)[-1]["steps"] == steps
+        assert not (tmp_path / "stopped" / training.POLICY_FILE).exists()
     train(job(), tmp_path / "stopped")
-    assert (tmp_path / "stopped" / training.POLICY).exists()
+    assert (tmp_path / "stopped" / training.POLICY_FILE).exists()
     assert_same_state(tmp_path / "whole", tmp_path / "stopped")
 
 
@@ -164,12 +164,12 @@ def test_the_exported_policy_acts_as_the_actor(tmp_path, kind):
 def test_every_step_is_of_one_episode(tmp_path, kind):
     """Lengths of those that ended add up to all steps but those of episodes that go on."""
     train(job(kind), tmp_path)
-    ended = read_episodes(tmp_path / EPISODES)
+    ended = read_episodes(tmp_path / EPISODES_FILE)
     total = TINY.steps - sum(one.length for one in ended)
     assert 0 <= total < TINY.environments * SHORT.steps
     assert all(0 < one.length <= SHORT.steps for one in ended)
     assert [one.steps for one in ended] == sorted(one.steps for one in ended)
-    rows = read_curve(tmp_path / CURVE)
+    rows = read_curve(tmp_path / CURVE_FILE)
     for before, row in zip([{"steps": 0.0}, *rows], rows, strict=False):
         rewards = [one.reward for one in ended if before["steps"] < one.steps <= row["steps"]]
         assert len(rewards) == 0 or row["reward"] == pytest.approx(np.mean(rewards), rel=1e-4)
@@ -180,7 +180,7 @@ def test_no_episode_is_lost_where_many_end_in_one_step(tmp_path):
     many = replace(FIT, environments=150, steps=9000, random_steps=8999, buffer_size=9000)
     stage = replace(STAGES["metric"], td3=many)
     train(job(stage=stage), tmp_path)
-    ended = read_episodes(tmp_path / EPISODES)
+    ended = read_episodes(tmp_path / EPISODES_FILE)
     assert sorted({one.steps for one in ended}) == [4500, 9000]
     assert len(ended) == 300
 
@@ -188,14 +188,14 @@ def test_no_episode_is_lost_where_many_end_in_one_step(tmp_path):
 def test_the_tables_go_back_to_the_checkpoint_when_a_killed_training_goes_on(tmp_path):
     """A process that got beyond its checkpoint before it was killed leaves newer tables."""
     train(job(), tmp_path, stop_after=200)
-    saved = [(tmp_path / name).read_bytes() for name in (CURVE, EPISODES)]
+    saved = [(tmp_path / name).read_bytes() for name in (CURVE_FILE, EPISODES_FILE)]
     lost = training._Run(job(), tmp_path, None)
     lost.begin()
     lost._save = lambda: None
     lost.go(None)
-    assert len(read_curve(tmp_path / CURVE)) == 4
+    assert len(read_curve(tmp_path / CURVE_FILE)) == 4
     training._Run(job(), tmp_path, None).begin()
-    assert [(tmp_path / name).read_bytes() for name in (CURVE, EPISODES)] == saved
+    assert [(tmp_path / name).read_bytes() for name in (CURVE_FILE, EPISODES_FILE)] == saved
 
 
 def settling(**changes):
@@ -217,7 +217,7 @@ def test_paths_that_fail_are_counted_beside_the_errors_that_leave_them_out(tmp_p
 
         run.act = contradict
         run._measure()
-    rows = read_curve(tmp_path / CURVE)
+    rows = read_curve(tmp_path / CURVE_FILE)
     assert [row["failed_paths"] for row in rows] == [0.0, 2.0, 2.0]
     errors = [row["median_error_m"] for row in rows]
     assert errors[0] != errors[1] == errors[2]  # whatever the failing ones would have reached
@@ -249,7 +249,7 @@ def test_a_folder_with_other_settings_is_refused(tmp_path):
 
 def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_path):
     train(job(), tmp_path / "first", stop_after=160)
-    following = settling(start=tmp_path / "first" / training.CHECKPOINT)
+    following = settling(start=tmp_path / "first" / training.CHECKPOINT_FILE)
     run = training._Run(following, tmp_path / "second", None)
     run.begin()
     before = checkpoint(tmp_path / "first")["parameters"]
@@ -281,18 +281,18 @@ def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_pa
 )
 def test_a_stage_refuses_a_foreign_start_and_leaves_no_folder(tmp_path, changes, named):
     train(job(), tmp_path / "first", stop_after=40)
-    foreign = job(start=tmp_path / "first" / training.CHECKPOINT, **changes)
+    foreign = job(start=tmp_path / "first" / training.CHECKPOINT_FILE, **changes)
     with pytest.raises(InvalidField, match=f"start: got .*first.*; {named} differ"):
         train(foreign, tmp_path / "second")
     assert not (tmp_path / "second").exists()
 
 
 def test_a_start_that_is_not_there_or_does_not_say_what_it_is_is_refused(tmp_path):
-    start = tmp_path / "first" / training.CHECKPOINT
+    start = tmp_path / "first" / training.CHECKPOINT_FILE
     with pytest.raises(MissingFile, match="train the earlier stage first"):
         train(job(start=start), tmp_path / "second")
     train(job(), tmp_path / "first", stop_after=40)
-    (tmp_path / "first" / SETTINGS).unlink()
+    (tmp_path / "first" / SETTINGS_FILE).unlink()
     with pytest.raises(MissingFile, match=r"settings\.json: no such file"):
         train(job(start=start), tmp_path / "second")
 
@@ -328,20 +328,20 @@ def test_a_training_without_a_checkpoint_begins_anew_with_the_code_of_now(tmp_pa
 
 def test_a_short_training_brings_the_error_down(tmp_path, monkeypatch):
     """From nothing learned, at the end of the random steps, to less than a third of that."""
-    monkeypatch.setattr(training, "REPORT_STEPS", 4096)
+    monkeypatch.setattr(training, "CURVE_INTERVAL_MIN", 4096)
     monkeypatch.setattr(training, "TEST_PATHS", 8)
-    monkeypatch.setattr(training, "TEST_STEPS", 40)
+    monkeypatch.setattr(training, "TEST_SET_POINTS", 40)
     stage = PRESETS["carosac"].stage("no_sag")
     short = replace(
         stage.td3, steps=3 * 4096, random_steps=4096, environments=32, hidden=(48, 48),
         batch_size=32, gradient_steps=7, buffer_size=20_000,
     )  # fmt: skip
     environment = replace(stage.environment, path=PathSettings(steps=128, pool=40))
-    wanted = Job(robot=load_robot("carosac"), preset="carosac", stage_name="no_sag",
+    wanted = TrainingJob(robot=load_robot("carosac"), preset="carosac", stage_name="no_sag",
                  stage=Stage(environment=environment, td3=short))  # fmt: skip
     seen = []
     path = train(wanted, tmp_path, report=lambda row, left: seen.append((row, left)))
-    rows = read_curve(tmp_path / CURVE)
+    rows = read_curve(tmp_path / CURVE_FILE)
     assert [row["steps"] for row in rows] == [4096.0, 8192.0, 12288.0]
     assert rows[0]["updates"] == 0.0 and rows[-1]["updates"] == 7 * 2 * 4096 / 32
     assert rows[0]["median_error_m"] > 3.0 * rows[-1]["median_error_m"]
@@ -362,7 +362,7 @@ def test_the_learning_curve_is_measured_on_the_same_paths_and_disturbances(tmp_p
 
 def test_the_test_paths_are_those_of_training_in_kind_and_not_in_seed():
     settings = STAGES["value"].environment
-    assert training.curve_settings(settings).path.steps == training.TEST_STEPS
+    assert training.curve_settings(settings).path.steps == training.TEST_SET_POINTS
     realtime = STAGES["realtime"].environment
     measured = replace(realtime, path=replace(realtime.path, pool=training.TEST_PATHS))
     assert training.curve_settings(replace(realtime, lost=0.5)) == measured

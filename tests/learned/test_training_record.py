@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from learned.observation import Units
+from learned.observation import ObservationUnits
 from learned.rewards import RewardSettings
 from learned.training_record import (
-    SETTINGS,
+    SETTINGS_FILE,
     TrainingRecord,
     check_settings,
     digest,
@@ -33,7 +33,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
 
 @pytest.mark.parametrize(("kept", "read"), [("17f0196", "17f0196"), (None, "unknown")])
 def test_an_older_record_has_one_commit(tmp_path, kept, read):
-    (tmp_path / SETTINGS).write_text(json.dumps(ASKED | {"commit": kept}))
+    (tmp_path / SETTINGS_FILE).write_text(json.dumps(ASKED | {"commit": kept}))
     assert read_record(tmp_path) == TrainingRecord(settings=ASKED, commits=(read,))
 
 
@@ -57,7 +57,7 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
 
 
 def test_fields_that_came_later_make_no_other_training(tmp_path):
-    reward, units = asdict(RewardSettings()), asdict(Units())
+    reward, units = asdict(RewardSettings()), asdict(ObservationUnits())
     environment = {"world": "no_sag", "reward": reward, "units": units, "memory": 1.0}
     environment |= {"correction": 0.0, "correction_memory": 4.0}
     asked = ASKED | {"environment": environment}

@@ -15,8 +15,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies import Case
 from learned import training_study
-from learned.training import CHECKPOINT, train
-from learned.training_study import Training, TrainingStudy, check_stages, free_study, train_case
+from learned.training import CHECKPOINT_FILE, train
+from learned.training_study import TrainingRun, TrainingStudy, check_stages, free_study, train_case
 
 SMALL = {"td3.hidden": [16, 16], "td3.environments": 8, "environment.path.steps": 20}
 
@@ -24,11 +24,11 @@ SMALL = {"td3.hidden": [16, 16], "td3.environments": 8, "environment.path.steps"
 def some_trainings(seeds=(0, 1), **more):
     values = {"preset": "carosac", "robot": "carosac", "stages": ("no_sag",), "steps": 400,
               "fixed": SMALL} | more  # fmt: skip
-    return tuple(Training(seed=seed, **values) for seed in seeds)
+    return tuple(TrainingRun(seed=seed, **values) for seed in seeds)
 
 
 def networks(folder):
-    state = torch.load(folder / "no_sag" / CHECKPOINT, weights_only=False)
+    state = torch.load(folder / "no_sag" / CHECKPOINT_FILE, weights_only=False)
     return state["parameters"]["policy"]
 
 
@@ -59,7 +59,7 @@ def test_a_training_of_a_study_is_the_same_as_alone(studied, tmp_path):
 def test_a_training_knows_where_its_worlds_are():
     here, there = (some_trainings((0,), device=x)[0] for x in ("cpu", "cuda"))
     assert "device" not in here.case().settings  # as in studies of before
-    assert Training.of_case(there.case()) == there
+    assert TrainingRun.of_case(there.case()) == there
     (job,) = there.jobs(load_robot("carosac"), there.place)
     assert job.device == job.settings()["device"] == "cuda"
 
@@ -115,15 +115,15 @@ def test_a_case_is_the_training_it_stands_for():
     })  # fmt: skip
     case = training.case()
     there = Case.from_dict(json.loads(json.dumps(case.to_dict())))
-    assert Training.of_case(there) == training
-    assert Training.of_case(there).place == training.place  # whatever the order of changes
+    assert TrainingRun.of_case(there) == training
+    assert TrainingRun.of_case(there).place == training.place  # whatever the order of changes
     assert str(training.place) == "critics=1_exploration=end0.1+start0.2_target_rate=0.02/seed3"
     assert training.name.startswith("carosac-path.steps=20_")
     assert training.name.endswith("-critics=1_exploration=end0.1+start0.2_target_rate=0.02")
 
 
 def test_what_is_not_finite_is_left_out(tmp_path, monkeypatch):
-    last = dict.fromkeys(training_study.COLUMNS, 1.0) | {"rmse_m": np.nan}
+    last = dict.fromkeys(training_study.CURVE_COLUMNS, 1.0) | {"rmse_m": np.nan}
     monkeypatch.setattr(training_study, "train", lambda *_: None)
     monkeypatch.setattr(training_study, "read_curve", lambda _: [last])
     row = train_case(some_trainings((0,))[0].case(), tmp_path)

@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
+from learned.target_paths import PathSettings
 from learned.vector_environment import CableVecEnv
 from tests.robots import simple_robot
 

@@ -17,7 +17,7 @@ from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import free_folder
-from carosac_toolkit.studies.run.run_case import robot_digest
+from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER, robot_digest
 
 CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.start import Rest
+from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
@@ -129,10 +130,10 @@ def test_what_an_imu_off_centre_feels_is_the_motion_of_where_it_sits(robot):
     """Specific force there: second difference of the path of that point, seen in its axes."""
     lever, mount = np.array([0.1, -0.2, 0.05]), np.array([0.3, -0.5, 1.0])
     settings = DynamicEstimatorSettings(imu_position=tuple(lever), imu_rotation=tuple(mount))
-    model = Model(robot, settings)
+    model = DynamicModel(robot, settings)
     home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     length = home.unstrained_length[0]
-    state = Rest(robot, settings).state(0.0, length)
+    state = RestStart(robot, settings).state(0.0, length)
     turn = Rotation.from_rotvec([0.15, -0.1, 0.05]).as_matrix()
     state = replace(
         state, rotation=turn @ state.rotation, twist=np.array([0.2, -0.1, 0.05, 0.4, -0.6, 0.8])
@@ -172,6 +173,66 @@ def test_an_outlier_of_a_length_is_counted_and_not_believed(robot):
     errors, beliefs = believe(DynamicEstimator.build(robot), found)
     assert beliefs[-1].memory.outliers[0] == 1
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize(("jump", "outliers"), [(0.05, 0), (0.02, 1)])
+def test_a_length_that_jumps_farther_than_is_set_is_an_outlier(robot, jump, outliers):
+    found = swing(robot, "lengths", PERFECT_SENSORS, duration=0.5)  # at rest so far
+    k = 10
+    step = robot.speed_max[0] * PERIOD + 0.03
+    wrong = found[k][0].unstrained_length + np.array([step, 0.0, 0.0, 0.0])
+    found[k] = (replace(found[k][0], unstrained_length=wrong), found[k][1])
+    settings = DynamicEstimatorSettings(reading_jump=jump)
+    _, beliefs = believe(DynamicEstimator.build(robot, settings), found[: k + 3])
+    assert beliefs[-1].memory.outliers[0] == outliers
+
+
+@pytest.mark.parametrize(
+    ("name", "channels"), [("vibration", slice(3, 6)), ("angular_vibration", slice(0, 3))]
+)
+def test_vibrations_are_noise_of_the_imu_that_more_samples_do_not_lower(robot, name, channels):
+    noise = []
+    for value in (0.0, 0.5):
+        settings = DynamicEstimatorSettings(**{name: value})
+        model = DynamicModel(robot, settings)
+        home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+        length = home.unstrained_length[0]
+        move = model.step(RestStart(robot, settings).state(0.0, length), length, length, 0.01)
+        felt = ImuMean(values=move.felt, samples=4)
+        noise.append(np.diag(MeasurementModels(model, settings).felt(move, felt).noise))
+    expected = np.zeros(6)
+    expected[channels] = 0.5**2
+    assert noise[1] - noise[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_process_noise_and_wind_make_the_predicted_twist_less_certain(robot):
+    """Over a second at rest, without anything that could correct it."""
+    lengths = ct.statics.inverse_kinematics(robot, robot.home_position[None]).unstrained_length
+
+    def deviation(**changes):
+        estimator = DynamicEstimator.build(robot, DynamicEstimatorSettings(**changes))
+        belief = estimator.reset(Measurement(time=np.zeros(1), unstrained_length=lengths))
+        for k in range(1, 51):
+            now = Measurement(time=np.full(1, k * PERIOD), unstrained_length=lengths)
+            command = Command(time=now.time, unstrained_length=lengths)
+            belief = estimator.update(belief, command, now)
+        return np.sqrt(np.trace(belief.covariance[0, 6:9, 6:9]))
+
+    usual = deviation()
+    assert deviation(acceleration_noise=0.2) > 1.5 * usual
+    assert deviation(wind_force=10.0) > 1.5 * usual
+    assert deviation(wind_time=0.01) < usual  # a gust that is over at once moves it less
+
+
+def test_innovations_beyond_the_gate_count_as_disturbed(robot):
+    found = swing(robot, "lengths+imu", SensorSettings(), duration=1.0)
+
+    def disturbed(gate):
+        settings = DynamicEstimatorSettings(gate=gate)
+        _, beliefs = believe(DynamicEstimator.build(robot, settings), found)
+        return sum(belief.memory.innovations.rejected[0] for belief in beliefs)
+
+    assert disturbed(6.0) < 3 and disturbed(0.02) > 20
 
 
 def test_an_encoder_that_slips_moves_nothing(robot):
@@ -235,18 +296,20 @@ def test_lengths_that_lead_the_poses_are_waited_for(robot):
     assert rms(honest) < 0.3 * rms(hasty)
 
 
-def test_after_a_gap_the_platform_is_hung_anew_and_that_is_counted(robot):
+@pytest.mark.parametrize(("gap_max", "restarts"), [(60.0, 1), (120.0, 0)])
+def test_after_a_gap_the_platform_is_hung_anew_and_that_is_counted(robot, gap_max, restarts):
     rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     lengths = rest.unstrained_length
-    estimator = DynamicEstimator.build(robot)
+    estimator = DynamicEstimator.build(robot, DynamicEstimatorSettings(gap_max=gap_max))
     belief = estimator.reset(Measurement(time=np.zeros(1), unstrained_length=lengths))
     late = Measurement(time=np.full(1, 100.0), unstrained_length=lengths * 1.001)
     after = estimator.update(
         belief, Command(time=np.zeros(1), unstrained_length=lengths), late
     )  # fmt: skip
     hung = ct.statics.forward_kinematics(robot, lengths * 1.001)
-    assert after.position == pytest.approx(hung.position, abs=1e-6)
-    assert after.memory.restarts[0] == 1
+    assert after.memory.restarts[0] == restarts
+    if restarts:
+        assert after.position == pytest.approx(hung.position, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from baselines.ks_ekf.cable_swing import Strings, Swing
+from baselines.ks_ekf.cable_swing import CableStrings, CableSwing
 
 STEP = 0.02  # [s] between two readings
 LONG = 1e9  # [s]: no damping
-CABLE = Strings(
+CABLE = CableStrings(
     length=np.array([6.0]), tension=np.array([15.0]), density=np.array([6e-3]),
     weight=np.array([0.058]),
 )  # fmt: skip
 
 
-def under(tension: float) -> Strings:
+def under(tension: float) -> CableStrings:
     return replace(CABLE, tension=np.array([tension]))
 
 
@@ -28,14 +28,14 @@ def ramp(time: float, low: float, high: float, rise: float) -> float:
     return float(low + (high - low) * 0.5 * (1.0 - np.cos(np.pi * share)))
 
 
-def amplitude(swing: Swing, tension: float) -> float:
+def amplitude(swing: CableSwing, tension: float) -> float:
     now = under(tension)
     return float(np.hypot(swing.sag - now.sag, swing.speed / now.pace)[0])
 
 
-def followed(low: float, high: float, rise: float) -> Swing:
+def followed(low: float, high: float, rise: float) -> CableSwing:
     """Swing after a rise of the tension, heard of in every reading."""
-    swing = Swing().later(0.0, under(low), LONG)
+    swing = CableSwing().later(0.0, under(low), LONG)
     for time in np.arange(STEP, rise + STEP, STEP):
         swing = swing.later(time, under(ramp(time - 0.5 * STEP, low, high, rise)), LONG)
     return swing
@@ -78,7 +78,7 @@ def test_a_slowly_changing_tension_keeps_the_action():
 
 def test_one_wrong_reading_leaves_little_of_what_a_second_leaves():
     def after(held: float) -> float:
-        swing = Swing().later(0.0, under(15.0), 2.0)
+        swing = CableSwing().later(0.0, under(15.0), 2.0)
         for time in np.arange(STEP, held + 0.5 * STEP, STEP):
             swing = swing.later(time, under(0.35), 2.0)
         return float(swing.later(held + STEP, under(15.0), 2.0).taken(under(15.0))[0])
@@ -91,18 +91,18 @@ def test_a_swing_fades_and_rest_takes_nothing():
     taken = [swing.later(swing.time + t, under(15.0), 2.0).taken(under(15.0))[0] for t in (0, 20)]
     assert taken[0] > 1e-3
     assert taken[1] < 1e-3 * taken[0]
-    assert Swing().later(0.0, CABLE, 2.0).taken(CABLE) == pytest.approx(0.0)
+    assert CableSwing().later(0.0, CABLE, 2.0).taken(CABLE) == pytest.approx(0.0)
 
 
 def test_a_tension_that_shakes_at_twice_the_pace_does_not_pump_without_end():
     """A linear string would swing by metres after some seconds."""
     length, density = 9.0, 0.01
     pace = np.pi / length * np.sqrt(80.0 / density)
-    swing, most = Swing(), 0.0
+    swing, most = CableSwing(), 0.0
     for k in range(2000):
         time = 0.01 * k
         tension = 80.0 * (1.0 + 0.9 * np.sin(2.0 * pace * time))
-        strings = Strings(
+        strings = CableStrings(
             length=np.array([length]),
             tension=np.array([tension]),
             density=np.array([density]),

@@ -318,6 +318,33 @@ def test_rest_is_found_and_gives_the_biases():
     assert belief.position == pytest.approx(rest.position, abs=0.01)
 
 
+@pytest.mark.parametrize(("gap", "coasted"), [(0.05, True), (0.2, False)])
+def test_the_last_inertial_sample_bridges_a_gap_of_the_length_that_is_set(gap, coasted):
+    scene = swaying(1).until(STEPS // 4)
+    blind = range(40, 45)  # 0.1 s
+
+    def edit(k: int, measurement: Measurement) -> Measurement:
+        return replace(measurement, imu=None) if k in blind else measurement
+
+    memory = beliefs(scene, KsEkfSettings(imu_gap=gap), edit)[-1].memory
+    assert (memory.coasted > 0) == coasted
+
+
+@pytest.mark.parametrize(("jump", "rejected"), [(0.05, 0), (0.02, 1)])
+def test_lengths_that_jump_farther_than_is_set_are_held_back(jump, rejected):
+    scene = swaying(1).until(STEPS // 4)
+
+    def edit(k: int, measurement: Measurement) -> Measurement:
+        lengths = measurement.unstrained_length
+        step = scene.robot.speed_max[0] * 0.02 + 0.03
+        before = scene.steps[k - 1][0].unstrained_length[0, 0]
+        jumped = np.where(np.arange(len(lengths[0])) == 0, before + step, lengths)
+        return replace(measurement, unstrained_length=jumped) if k == 50 else measurement
+
+    found = beliefs(scene, KsEkfSettings(reading_jump=jump, gate=1.0 - 1e-12), edit)
+    assert found[52].memory.encoders.rejected == rejected
+
+
 def test_innovations_are_as_large_as_expected_and_counted():
     still = KsEkfSettings(tension_change=0.0)  # these cables have no motion of their own
     scene = swaying(1).until(STEPS // 2)

@@ -9,35 +9,41 @@ import pinocchio
 import pytest
 
 import carosac_toolkit as ct
-from baselines.ks_ekf import KsEkfSettings, starting
-from baselines.ks_ekf.cable_model import ExpectedLengths, expected_lengths
-from baselines.ks_ekf.cable_swing import Swing
+from baselines.ks_ekf import KsEkfSettings, initial_state
+from baselines.ks_ekf.cable_model import SWING_FADE_TIME_S, ExpectedLengths, expected_lengths
+from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
-from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, FilterState, Samples
+from baselines.ks_ekf.filter_state import (
+    FIXED_ERROR_COUNT,
+    LENGTH_ERRORS,
+    POSE_ERRORS,
+    InertialSamples,
+    KsEkfState,
+)
 from baselines.ks_ekf.inertial import InertialMotion, slope
 from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
-from baselines.ks_ekf.readings import Reading
-from baselines.ks_ekf.rest_detection import Window, detect_rest
+from baselines.ks_ekf.rest_detection import RecentMeasurements, detect_rest
 from baselines.ks_ekf.rest_pose import find_rest
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 
 ROBOT = ct.load_robot("carosac")
-SIZE = FIXED + ROBOT.n
+SIZE = FIXED_ERROR_COUNT + ROBOT.n
 SETTINGS = KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2]))
 
 
-def moving_state() -> FilterState:
+def moving_state() -> KsEkfState:
     """A rotated, turning and accelerating platform, with all biases."""
     rng = np.random.default_rng(1)
     time = np.array([0.0, 0.004, 0.01, 0.015])
-    samples = Samples(
+    samples = InertialSamples(
         time=time,
         rate=rng.normal(0.0, 0.5, (4, 3)),
         force=rng.normal([0.0, 0.0, 9.8], 2.0, (4, 3)),
     )
     return replace(
-        starting.blank(ROBOT, SETTINGS, 0.0),
+        initial_state.blank(ROBOT, SETTINGS, 0.0),
         position=np.array([0.5, -1.5, 3.0]),
         rotation=pinocchio.exp3(np.array([0.4, -0.3, 0.7])),
         velocity=np.array([0.3, -0.6, 0.2]),
@@ -49,7 +55,7 @@ def moving_state() -> FilterState:
     )
 
 
-def difference(one: FilterState, other: FilterState) -> Array:
+def difference(one: KsEkfState, other: KsEkfState) -> Array:
     """Error that leads from one state to another, shape (18 + n,)."""
     return np.concatenate(
         [
@@ -106,12 +112,14 @@ def test_free_fall_and_rest_are_integrated_exactly():
     still = replace(
         moving_state(), rate_bias=np.zeros(3), force_bias=np.zeros(3), velocity=np.ones(3)
     )
-    falling = replace(still, samples=Samples(time=time, rate=none, force=none))
+    falling = replace(still, samples=InertialSamples(time=time, rate=none, force=none))
     after = motion.advance(falling, 0.1)
     assert after.velocity == pytest.approx([1.0, 1.0, 1.0 - 0.981])
     assert after.position - still.position == pytest.approx([0.1, 0.1, 0.1 - 0.5 * 9.81 * 0.01])
     held = none + still.rotation.T @ [0.0, 0.0, 9.81]
-    after = motion.advance(replace(still, samples=Samples(time=time, rate=none, force=held)), 0.1)
+    after = motion.advance(
+        replace(still, samples=InertialSamples(time=time, rate=none, force=held)), 0.1
+    )
     assert after.velocity == pytest.approx(still.velocity)
 
 
@@ -120,7 +128,7 @@ def test_map_from_imu_to_origin_is_that_of_small_errors():
     twist, covariance = carried(state, SETTINGS)
     quiet = replace(SETTINGS, angular_rate_noise=1e-12)
 
-    def outputs(s: FilterState) -> Array:
+    def outputs(s: KsEkfState) -> Array:
         moved, _ = carried(s, quiet)
         turn = pinocchio.log3(s.rotation @ state.rotation.T)
         return np.concatenate([origin(s, SETTINGS.imu_position), turn, moved])
@@ -144,22 +152,22 @@ def test_map_from_imu_to_origin_is_that_of_small_errors():
 
 def test_pose_is_kept_at_the_origin_where_the_state_is_lost():
     state, lever = moving_state(), SETTINGS.imu_position
-    back = starting.inertial(starting.released(state, SETTINGS), SETTINGS)
+    back = initial_state.inertial(initial_state.released(state, SETTINGS), SETTINGS)
     assert back.velocity == pytest.approx(state.velocity)
     assert back.covariance == pytest.approx(state.covariance)
     assert difference(back, state) == pytest.approx(np.zeros(SIZE), abs=1e-9)
     for found in (
-        starting.lost(ROBOT, SETTINGS, state, 1.0),
-        starting.forgotten(ROBOT, SETTINGS, state),
+        initial_state.lost(ROBOT, SETTINGS, state, 1.0),
+        initial_state.forgotten(ROBOT, SETTINGS, state),
     ):
         assert not found.inertial
         assert found.position == pytest.approx(state.position - state.rotation @ lever)
         assert found.rotation == pytest.approx(state.rotation)
-        again = starting.lost(ROBOT, SETTINGS, found, 1.1)  # there already
+        again = initial_state.lost(ROBOT, SETTINGS, found, 1.1)  # there already
         assert again.position == pytest.approx(found.position)
 
 
-def state_at_rest(settings: KsEkfSettings) -> tuple[FilterState, statics.Equilibrium]:
+def state_at_rest(settings: KsEkfSettings) -> tuple[KsEkfState, statics.Equilibrium]:
     """An equilibrium away from home, as the filter sees it."""
     rest = statics.inverse_kinematics(ROBOT, np.array([[1.2, -3.0, 2.4]]))
     force = rest.rotation[0].T @ [0.0, 0.0, 9.81]
@@ -170,14 +178,14 @@ def state_at_rest(settings: KsEkfSettings) -> tuple[FilterState, statics.Equilib
         rate_bias=np.zeros(3),
         force_bias=np.zeros(3),
         covariance=1e-8 * np.eye(SIZE),
-        samples=Samples(time=np.zeros(1), rate=np.zeros((1, 3)), force=force[None]),
+        samples=InertialSamples(time=np.zeros(1), rate=np.zeros((1, 3)), force=force[None]),
     )
     return state, rest
 
 
 def test_lengths_at_rest_are_those_of_the_statics():
     state, rest = state_at_rest(SETTINGS)
-    found = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), CableSwing(), SETTINGS)
     assert found.valid.all()
     assert found.tension == pytest.approx(rest.tension[0], rel=0.02)
     assert found.length == pytest.approx(rest.unstrained_length[0], abs=1e-4)
@@ -185,24 +193,26 @@ def test_lengths_at_rest_are_those_of_the_statics():
 
 def test_length_jacobian_is_that_of_small_errors():
     state, _ = state_at_rest(SETTINGS)
-    found = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), CableSwing(), SETTINGS)
     step, columns = 1e-5, []
     for row in step * np.eye(SIZE):
         both = [
-            expected_lengths(ROBOT, s, np.zeros(3), Swing(), SETTINGS).length + s.length_bias
+            expected_lengths(ROBOT, s, np.zeros(3), CableSwing(), SETTINGS).length + s.length_bias
             for s in (state.injected(row, state.covariance), state.injected(-row, state.covariance))
         ]
         columns.append((both[0] - both[1]) / (2.0 * step))
     jacobian = np.array(columns).T
     # Tensions follow the pose too, which the filter leaves out: parts per thousand.
-    assert found.jacobian[:, POSE] == pytest.approx(jacobian[:, POSE], abs=5e-3)
-    assert found.jacobian[:, LENGTHS] == pytest.approx(np.eye(ROBOT.n))
+    assert found.jacobian[:, POSE_ERRORS] == pytest.approx(jacobian[:, POSE_ERRORS], abs=5e-3)
+    assert found.jacobian[:, LENGTH_ERRORS] == pytest.approx(np.eye(ROBOT.n))
 
 
 def test_slack_cable_says_nothing():
     state, _ = state_at_rest(SETTINGS)
-    falling = Samples(time=np.zeros(1), rate=np.zeros((1, 3)), force=np.zeros((1, 3)))
-    found = expected_lengths(ROBOT, replace(state, samples=falling), np.zeros(3), Swing(), SETTINGS)
+    falling = InertialSamples(time=np.zeros(1), rate=np.zeros((1, 3)), force=np.zeros((1, 3)))
+    found = expected_lengths(
+        ROBOT, replace(state, samples=falling), np.zeros(3), CableSwing(), SETTINGS
+    )
     assert not found.valid.any()
 
 
@@ -213,7 +223,7 @@ def test_lengths_count_less_where_motion_changes_the_tension():
     def spread(factor: float, settings: KsEkfSettings) -> Array:
         samples = replace(state.samples, force=factor * state.samples.force)
         found = expected_lengths(
-            ROBOT, replace(state, samples=samples), np.zeros(3), Swing(), settings
+            ROBOT, replace(state, samples=samples), np.zeros(3), CableSwing(), settings
         )
         assert found.valid.all()
         return found.spread
@@ -248,17 +258,18 @@ def test_rest_is_quiet_encoders_and_quiet_imu():
     settings = KsEkfSettings()
     time = np.arange(0.0, 1.2, 0.005)
     bias, still = np.array([0.01, -0.02, 0.0]), np.zeros((len(time), 3))
-    window = Window(time=np.zeros(0), lengths=np.zeros((0, 4)))
+    window = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, 4)))
 
-    def seen(sway: float, wind: float) -> Window:
+    def seen(sway: float, wind: float, shake: float = 0.0) -> RecentMeasurements:
         rate = still + bias
         rate[:, 0] += sway * np.sin(2.8 * time)
-        samples = Samples(time=time, rate=rate, force=still + np.array([0.0, 0.0, 9.81]))
+        force = still + np.array([0.0, 0.0, 9.81]) + shake * np.sin(40.0 * time)[:, None]
+        samples = InertialSamples(time=time, rate=rate, force=force)
         found = window
         for k in range(0, len(time), 4):
             part = samples.keep(slice(k, k + 4))
             lengths = 8.0 + wind * time[k] * np.ones(4)
-            reading = Reading(time=time[k], lengths=lengths, rates=np.zeros(4))
+            reading = TimedLengths(time=time[k], lengths=lengths, rates=np.zeros(4))
             found = found.extended([reading], part, 1.0)
         return found
 
@@ -266,13 +277,21 @@ def test_rest_is_quiet_encoders_and_quiet_imu():
     assert quiet is not None
     assert quiet.rate == pytest.approx(bias)
     assert detect_rest(seen(0.1, 0.0), bias, settings) is None
+    assert detect_rest(seen(0.1, 0.0), bias, replace(settings, rest_rate=0.2)) is not None
+    assert detect_rest(seen(0.0, 0.0, 0.3), bias, settings) is None
+    assert detect_rest(seen(0.0, 0.0, 0.3), bias, replace(settings, rest_force=0.5)) is not None
     assert detect_rest(seen(0.0, 0.1), bias, settings) is None
-    assert detect_rest(Window(time=time, lengths=np.zeros((len(time), 4))), bias, settings) is None
+    assert (
+        detect_rest(RecentMeasurements(time=time, lengths=np.zeros((len(time), 4))), bias, settings)
+        is None
+    )
 
 
 def test_slope_is_the_angular_acceleration():
     time = np.arange(0.0, 0.05, 0.005)
-    samples = Samples(time=time, rate=np.outer(time, [1.0, -2.0, 0.5]), force=np.zeros((10, 3)))
+    samples = InertialSamples(
+        time=time, rate=np.outer(time, [1.0, -2.0, 0.5]), force=np.zeros((10, 3))
+    )
     assert slope(samples, 0.02, 0.0125) == pytest.approx([1.0, -2.0, 0.5])
     assert slope(samples, 9.0, 0.0125) == pytest.approx(np.zeros(3))
 
@@ -281,18 +300,18 @@ def test_lengths_of_a_swinging_cable_count_less_until_it_has_calmed_down():
     state, _ = state_at_rest(SETTINGS)
     loose = replace(state.samples, force=0.1 * state.samples.force)  # a tenth of the weight
 
-    def found(swing: Swing, time: float, samples: Samples) -> ExpectedLengths:
+    def found(swing: CableSwing, time: float, samples: InertialSamples) -> ExpectedLengths:
         at = replace(state, time=time, samples=samples)
         return expected_lengths(ROBOT, at, np.zeros(3), swing, SETTINGS)
 
-    calm = found(Swing(), 0.0, state.samples)
+    calm = found(CableSwing(), 0.0, state.samples)
     for held, least in ((0.02, 0.0), (1.0, 3e-4)):  # [s] that it hangs loose, [m] for that
         sagging = found(calm.swing, held, loose)
         taut = found(sagging.swing, held + 0.01, state.samples)
         assert taut.valid.all()
         assert (taut.spread > calm.spread + least).all()
         assert taut.length == pytest.approx(calm.length, abs=1e-9)
-    late = found(taut.swing, 20.0 * SETTINGS.swing_time, state.samples)
+    late = found(taut.swing, 20.0 * SWING_FADE_TIME_S, state.samples)
     assert late.spread == pytest.approx(calm.spread, rel=1e-6)
 
 
@@ -301,12 +320,12 @@ def test_a_robot_whose_lower_cables_hang_loose_by_least_squares_keeps_finite_swi
     settings = KsEkfSettings()
     place = np.array([[-1.16, 0.50, 1.50]])
     state = replace(
-        starting.blank(robot, settings, 0.0), position=place[0], rotation=np.eye(3),
-        samples=Samples(
+        initial_state.blank(robot, settings, 0.0), position=place[0], rotation=np.eye(3),
+        samples=InertialSamples(
             time=np.zeros(1), rate=np.zeros((1, 3)), force=np.array([[0.0, 0.0, 9.81]])
         ),
     )  # fmt: skip
-    found = expected_lengths(robot, state, np.zeros(3), Swing(), settings)
+    found = expected_lengths(robot, state, np.zeros(3), CableSwing(), settings)
     again = expected_lengths(robot, replace(state, time=0.02), np.zeros(3), found.swing, settings)
     assert (found.tension < 0.0).any()
     assert np.isfinite(again.swing.sag).all() and np.isfinite(again.swing.speed).all()

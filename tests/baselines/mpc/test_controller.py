@@ -11,6 +11,7 @@ import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator
 from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.mpc import Mpc, MpcSettings, NoStart
+from baselines.mpc.controller import SHIFTED_STEPS_MAX
 from carosac_toolkit import conformance, trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.conformance.scenes import make_scene
@@ -133,7 +134,7 @@ def test_after_failures_the_plan_goes_on_and_then_the_platform_rests(monkeypatch
     fail(monkeypatch, controller, lambda time: time >= 1.0)
     log = live(controller, plant=robot, path=path, rest=6.0)
     record = controller.record
-    assert record.fallbacks["shifted plan"] == MpcSettings().shifted_steps
+    assert record.fallbacks["shifted plan"] == SHIFTED_STEPS_MAX
     assert record.fallbacks["to rest"] == record.failures["no solution"] - 5
     assert record.reason == "no solution: the quadratic program has no solution"
     assert all(cycle < 10 for cycle, _ in log.limited)
@@ -259,8 +260,9 @@ def test_a_batch_and_a_place_out_of_reach_are_refused():
 @pytest.mark.parametrize(("name", "value", "allowed"), [
     ("period", 0.0, "period > 0, finite"), ("position_weight", -1.0, "position_weight >= 0"),
     ("stages", 20.5, "a whole number"), ("compiled", "yes", "one of"),
-    ("lookahead", 0.03, "two stages or more"), ("time_budget", np.nan, "time_budget > 0"),
-    ("limit_share", 1.5, "0 < share <= 1"),
+    ("lookahead", 0.03, r"lookahead > 2 \* period"), ("stages", 1, "a whole number from 2"),
+    ("time_budget", np.nan, "time_budget > 0"),
+    ("limit_share", 1.5, "0 < limit_share <= 1"),
 ])  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(name, value, allowed):
     with pytest.raises(InvalidField, match=allowed):

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
 from baselines.mpc.geometry import geometry_at
-from baselines.mpc.observer import SLACK, Observer
-from baselines.mpc.unknown_load import Motion
+from baselines.mpc.observer import OFFSET_MAX_M, SLACK_EXCESS_M, Observer
+from baselines.mpc.unknown_load import PlannedMotion
 from carosac_toolkit.loop.values import Belief
 
 
@@ -29,7 +29,7 @@ def at_home(robot, twist=(0.0,) * 6):
 
 def resting(robot):
     """A planned motion that is none, with cables that carry the weight."""
-    return Motion(
+    return PlannedMotion(
         rotation=np.eye(3), spin=np.zeros(3), spin_rate=np.zeros(3),
         force=np.array([0.0, 0.0, robot.weight]), length=np.zeros(robot.n),
     )  # fmt: skip
@@ -63,9 +63,9 @@ def test_a_slack_cable_is_no_offset_and_is_reeled_in(robot):
     for _ in range(200):
         start = observer.start(belief, taut + surplus, np.zeros(robot.n))
         surplus = observer.surplus  # what is sent is longer than the chord by it
-    assert surplus[0] < MpcSettings().offset_max
+    assert surplus[0] < OFFSET_MAX_M
     assert surplus[1:] == pytest.approx(np.zeros(3), abs=1e-9)
-    assert np.linalg.norm(start.position - robot.home_position) < SLACK
+    assert np.linalg.norm(start.position - robot.home_position) < SLACK_EXCESS_M
 
 
 def test_nothing_is_learned_of_the_motion_of_a_platform_on_a_slack_cable(robot):

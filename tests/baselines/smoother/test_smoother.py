@@ -12,7 +12,7 @@ import pytest
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.smoother import SmootherSettings, smooth
-from baselines.smoother.measured import arrange
+from baselines.smoother.arranged_recording import arrange
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
@@ -185,6 +185,15 @@ def test_a_robot_of_another_recording_is_said(noisy, robot):
         smooth(longer, robot, settings())
 
 
+def test_passes_end_at_the_tolerance_or_at_their_largest_number(noisy, robot, without_imu):
+    assert without_imu.converged and without_imu.passes > 1
+    coarse = smooth(noisy[0], robot, settings(poses="used", imu=False, tolerance=1.0))
+    assert coarse.converged and coarse.passes < without_imu.passes
+    assert coarse.change > without_imu.change
+    once = smooth(noisy[0], robot, settings(poses="used", imu=False, iterations=1))
+    assert once.passes == 1 and not once.converged
+
+
 def test_gross_poses_count_little(noisy, robot, without_imu):
     recording, truths = noisy
     wrong = recording.poses.position.copy()
@@ -253,9 +262,8 @@ def test_key_frames_are_where_something_was_measured(noisy, robot):
     [
         (dict(poses="all"), "poses: got 'all'; allowed: one of"),
         (dict(lag=0.0), "lag: got 0.0 s; allowed: lag > 0"),
-        (dict(grid=float("nan")), "grid"),
         (dict(iterations=0), "iterations: got 0; allowed: a whole number from 1"),
-        (dict(imu_step=-1.0), "imu_step"),
+        (dict(tolerance=0.0), "tolerance"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(changes, message):

@@ -5,7 +5,7 @@ from matplotlib.image import imread
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import SERIES_COLORS
-from learned.curve import COLUMNS, Episode, write_curve, write_episodes
+from learned.learning_curve import CURVE_COLUMNS, Episode, write_curve, write_episodes
 from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed
 
 
@@ -91,7 +91,7 @@ def test_errors_are_in_millimetres_beside_what_they_are_compared_with(tmp_path):
 
 def trained(folder, errors=(0.3, 0.2, 0.1)):
     """What a training leaves: three evaluations and seven episodes."""
-    rows = [dict.fromkeys(COLUMNS, 0.0) for _ in errors]
+    rows = [dict.fromkeys(CURVE_COLUMNS, 0.0) for _ in errors]
     for k, (row, error) in enumerate(zip(rows, errors, strict=True)):
         row |= {"steps": 100.0 * (k + 1), "reward": -5.0 + k, "median_error_m": error}
     write_curve(folder / "curve.csv", rows)

@@ -9,11 +9,11 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-SHORTEST = 1e-9  # [s]: less is rounding
+TIME_TOLERANCE_S = 1e-9  # less is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reading:
+class TimedLengths:
     """Lengths of one robot of n cables.
 
     Attributes:
@@ -27,11 +27,11 @@ class Reading:
     rates: Array
 
 
-def reading_of(measurement: Measurement, lead: float) -> Reading:
-    """The lengths of a measurement of one robot, which lead the platform by `lead` [s]."""
+def reading_of(measurement: Measurement, lead: float) -> TimedLengths:
+    """Return the lengths of a measurement of one robot, which lead it by `lead` [s]."""
     rate, lengths = measurement.length_rate, measurement.unstrained_length[0]
     taken = measurement.time if rate is None else rate.time
-    return Reading(
+    return TimedLengths(
         time=float(taken[0]) + lead,
         lengths=lengths,
         rates=np.zeros_like(lengths) if rate is None else rate.value[0],
@@ -39,8 +39,8 @@ def reading_of(measurement: Measurement, lead: float) -> Reading:
 
 
 def due(
-    waiting: tuple[Reading, ...], new: Reading, now: float
-) -> tuple[tuple[Reading, ...], tuple[Reading, ...]]:
+    waiting: tuple[TimedLengths, ...], new: TimedLengths, now: float
+) -> tuple[tuple[TimedLengths, ...], tuple[TimedLengths, ...]]:
     """Split what waits and what came, in the order of time.
 
     Args:
@@ -51,7 +51,7 @@ def due(
     Returns:
         Those whose time has come, and those that wait on.
     """
-    if all(abs(new.time - reading.time) > SHORTEST for reading in waiting):
+    if all(abs(new.time - reading.time) > TIME_TOLERANCE_S for reading in waiting):
         waiting = tuple(sorted((*waiting, new), key=lambda reading: reading.time))
-    count = sum(reading.time <= now + SHORTEST for reading in waiting)
+    count = sum(reading.time <= now + TIME_TOLERANCE_S for reading in waiting)
     return waiting[:count], waiting[count:]

@@ -14,9 +14,9 @@ from carosac_toolkit.base.settings import filled
 from carosac_toolkit.loop.plugin_settings import OPTION, check_types, put_field, value_of
 from learned.presets import Stage
 
-SET, VARY = OPTION, "--vary"
-PARTS = ("td3", "environment")  # of a stage
-LONGEST = 90  # characters of a label
+SET_OPTION, VARY_OPTION = OPTION, "--vary"
+STAGE_PARTS = ("td3", "environment")  # of a stage
+LABEL_LENGTH_MAX = 90  # characters of a label
 
 Changes = Mapping[str, Any]
 """Values as JSON has them, by path: ``td3.FIELD``, ``environment.FIELD`` or one of these behind the
@@ -35,9 +35,9 @@ def read_changes(texts: Sequence[str], stages: Sequence[str]) -> dict[str, Any]:
     """
     changes: dict[str, Any] = {}
     for text in texts:
-        path, value = _read(SET, text, stages)
+        path, value = _read(SET_OPTION, text, stages)
         if path in changes:
-            raise InvalidField(SET, repr(text), "each field once")
+            raise InvalidField(SET_OPTION, repr(text), "each field once")
         changes[path] = value
     return changes
 
@@ -60,14 +60,16 @@ def read_variations(
     """
     axes: dict[str, list[Any]] = {}
     for text in texts:
-        path, values = _read(VARY, text, stages)
+        path, values = _read(VARY_OPTION, text, stages)
         if path in axes or path in fixed:
-            raise InvalidField(VARY, repr(text), f"each field once, in {SET} or in {VARY}")
+            raise InvalidField(
+                VARY_OPTION, repr(text), f"each field once, in {SET_OPTION} or in {VARY_OPTION}"
+            )
         if not isinstance(values, list) or len(values) < 2:
             allowed = "FIELD=[VALUE, VALUE, ...], a JSON list of two or more values"
-            raise InvalidField(VARY, repr(text), allowed)
+            raise InvalidField(VARY_OPTION, repr(text), allowed)
         if len({label_of({path: x}) for x in values}) < len(values):
-            raise InvalidField(VARY, repr(text), "values that differ, in letters and digits")
+            raise InvalidField(VARY_OPTION, repr(text), "values that differ, in letters and digits")
         axes[path] = values
     return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
 
@@ -84,7 +86,7 @@ def check_changes(stages: Mapping[str, Stage], fixed: Changes, varied: Sequence[
 
 
 def changed(name: str, stage: Stage, changes: Changes) -> Stage:
-    """A stage with the changes that concern it.
+    """Return a stage with the changes that concern it.
 
     Args:
         name: Of the stage.
@@ -97,27 +99,27 @@ def changed(name: str, stage: Stage, changes: Changes) -> Stage:
     nested: dict[str, Any] = {}
     for path, value in changes.items():
         fields = path.split(".")
-        if fields[0] not in PARTS and fields.pop(0) != name:
+        if fields[0] not in STAGE_PARTS and fields.pop(0) != name:
             continue
         put_field(path, nested, fields, _with_tuples(value))
     check_types(name, stage, nested)
-    found: Stage = filled(name, stage, nested)
-    return found
+    changed_stage: Stage = filled(name, stage, nested)
+    return changed_stage
 
 
 def label_of(changes: Changes) -> str:
-    """Changes in short, for names of folders, in no order but that of their paths.
+    """Return a short label of changes for names of folders, in the order of their paths.
 
     What would be too long for a file system ends in a digest of all of it.
     """
     label = "_".join(f"{_short(path)}={_plain(value)}" for path, value in sorted(changes.items()))
-    if len(label) <= LONGEST:
+    if len(label) <= LABEL_LENGTH_MAX:
         return label
-    return f"{label[: LONGEST - 9]}-{hashlib.sha256(label.encode()).hexdigest()[:8]}"
+    return f"{label[: LABEL_LENGTH_MAX - 9]}-{hashlib.sha256(label.encode()).hexdigest()[:8]}"
 
 
 def concerned(stage: str, stages: Sequence[str], changes: Changes) -> dict[str, Any]:
-    """The changes that a stage depends on: its own, and those of stages before it.
+    """Return the changes that a stage depends on: its own, and those of stages before it.
 
     Args:
         stage: Its name.
@@ -128,18 +130,18 @@ def concerned(stage: str, stages: Sequence[str], changes: Changes) -> dict[str, 
     return {
         path: value
         for path, value in changes.items()
-        if path.split(".")[0] in PARTS or path.split(".")[0] in until
+        if path.split(".")[0] in STAGE_PARTS or path.split(".")[0] in until
     }
 
 
 def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
-    """Path and value of a change."""
+    """Read path and value of a change."""
     path, equals, value = text.partition("=")
     first, *rest = path.split(".")
     known = first.replace("-", "_")
     fields = rest[1:] if known in stages else rest
     part = rest[0] if known in stages and rest else first
-    if not equals or part not in PARTS or not fields or not all(fields):
+    if not equals or part not in STAGE_PARTS or not fields or not all(fields):
         names = " or ".join(name.replace("_", "-") for name in stages)
         allowed = f"[STAGE.]td3.FIELD=VALUE or [STAGE.]environment.FIELD=VALUE, STAGE {names}"
         raise InvalidField(option, repr(text), allowed)
@@ -148,18 +150,18 @@ def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
 
 
 def _short(path: str) -> str:
-    """A path without the part that it goes without saying."""
-    return ".".join(name for name in path.split(".") if name not in PARTS)
+    """Return a path without the part that goes without saying."""
+    return ".".join(name for name in path.split(".") if name not in STAGE_PARTS)
 
 
 def _plain(value: Any) -> str:
-    """A value in letters that every file system has."""
+    """Write a value in letters that every file system has."""
     text = json.dumps(value, separators=(",", ":"), sort_keys=True).replace(",", "+")
     return re.sub(r"[^A-Za-z0-9_.+-]", "", text)
 
 
 def _with_tuples(value: Any) -> Any:
-    """A copy of a JSON value with its lists as tuples, at any depth."""
+    """Copy a JSON value with its lists as tuples, at any depth."""
     if isinstance(value, list):
         return tuple(_with_tuples(item) for item in value)
     if isinstance(value, dict):

@@ -3,8 +3,8 @@ import json
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from learned.changes import changed, concerned, label_of, read_changes, read_variations
 from learned.presets import find_preset
+from learned.setting_changes import changed, concerned, label_of, read_changes, read_variations
 
 STAGES = ("no_sag", "sag")
 

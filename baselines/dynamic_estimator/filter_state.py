@@ -1,4 +1,4 @@
-"""What the filter knows about one robot, and the order of its errors."""
+"""State of the filter of one robot, and the order of its errors."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.sway import Sway
-from baselines.length_readings import SLIP_DOUBT
+from baselines.dynamic_estimator.sway_basis import SwayBasis
+from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 
 
@@ -15,7 +15,7 @@ class Errors:
     """The order of errors, truth minus estimate, of a robot of n cables with m ways to sway.
 
     Attributes:
-        sway: Along the ways to sway, in `Sway` coordinates, m of them [m kg^0.5].
+        sway: Along the ways to sway, in `SwayBasis` coordinates, m of them [m kg^0.5].
         speed: Their rates [m kg^0.5/s].
         wind: Force along x and y of W [N].
         mass: Logarithm of the platform's mass.
@@ -27,7 +27,7 @@ class Errors:
     """
 
     def __init__(self, n: int) -> None:
-        """For n cables."""
+        """Lay out the errors for n cables."""
         m = max(0, 6 - n)
         self.m, self.n = m, n
         self.sway = slice(0, m)
@@ -42,7 +42,7 @@ class Errors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilterState:
+class DynamicFilterState:
     """Estimate of one robot at one time; no batch.
 
     Attributes:
@@ -71,7 +71,7 @@ class FilterState:
     length_bias: Array
     imu_bias: Array
     covariance: Array
-    sway: Sway
+    sway: SwayBasis
     tension: Array
     exit_tension: Array
 
@@ -81,15 +81,15 @@ class FilterState:
         return Errors(len(self.length_bias))
 
     def pose_by(self) -> Array:
-        """Error of the pose per error, shape (6, size): cables leave no other."""
+        """Return the pose error per error, shape (6, size): cables leave no other."""
         where = self.errors
         by = np.zeros((6, where.size))
         by[:, where.sway] = self.sway.ways
         by[:, where.bias] = self.sway.slaved
         return by
 
-    def corrected(self, error: Array, covariance: Array) -> FilterState:
-        """The state after an error was estimated, which is then zero.
+    def corrected(self, error: Array, covariance: Array) -> DynamicFilterState:
+        """Return the state with an estimated error removed.
 
         Args:
             error: Truth minus estimate, in the order of `Errors`.
@@ -112,20 +112,20 @@ class FilterState:
             covariance=0.5 * (covariance + covariance.T),
         )
 
-    def loosened(self, deviation: Array) -> FilterState:
-        """The state with more doubt of the lengths, by one standard deviation each (n,) [m]."""
+    def loosened(self, deviation: Array) -> DynamicFilterState:
+        """Return the state with length biases less certain, by deviations (n,) [m]."""
         matrix = np.array(self.covariance)
         where = self.errors.bias
         matrix[where, where] += np.diag(deviation**2)
         return replace(self, covariance=matrix)
 
-    def slipped(self, slip: Array) -> FilterState:
-        """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
-        doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT)
+    def slipped(self, slip: Array) -> DynamicFilterState:
+        """Return the state after encoders slipped by (n,) [m]; the platform stays where it was."""
+        doubt = np.where(slip == 0.0, 0.0, SLIP_DEVIATION_M)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:
-        """Covariance of pose and twist, as of a `Belief`, shape (12, 12).
+        """Return the covariance of pose and twist as in `Belief`, shape (12, 12).
 
         Args:
             reading: Error of the lengths themselves, beside their biases [m].
@@ -135,8 +135,8 @@ class FilterState:
         by = np.zeros((12, where.size))
         by[:6] = self.pose_by()
         by[6:, where.speed] = self.sway.ways
-        found = by @ self.covariance @ by.T
+        covariance = by @ self.covariance @ by.T
         rigid = self.sway.slaved @ self.sway.slaved.T
-        found[:6, :6] += reading**2 * rigid
-        found[6:, 6:] += speed**2 * rigid
-        return np.asarray(found)
+        covariance[:6, :6] += reading**2 * rigid
+        covariance[6:, 6:] += speed**2 * rigid
+        return np.asarray(covariance)

@@ -1,4 +1,4 @@
-"""What a recording holds, put in order for a smoother: its key frames and what was measured there.
+"""Recording arranged for a smoother: its key frames and what was measured there.
 
 There is a key frame at each length sample, at each pose where any are used, so that the others
 can be scored, and where an inertial measurement begins and ends.
@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Felt
-from baselines.length_readings import SHORTEST, Readings
+from baselines.dynamic_estimator.measurement_models import ImuMean
+from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -23,12 +23,13 @@ from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-GAP = 0.5  # [s] between two poses, at most, to interpolate
-BEFORE = 0.01  # [s] before an inertial sample, at most, where the step to it begins
+POSE_GAP_MAX_S = 0.5  # between two poses, to interpolate
+IMU_STEP_MAX_S = 0.01  # of the step that ends at an inertial sample
+IMU_GROUP_TIME_S = 0.01  # inertial samples within it are taken as one, at their mean time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measured:
+class ArrangedRecording:
     """A recording for a smoother.
 
     Attributes:
@@ -52,17 +53,17 @@ class Measured:
     delay_sigma: float
     time: Array
     samples: NDArray[np.int64]
-    felt: dict[int, Felt]
+    felt: dict[int, ImuMean]
     poses: dict[int, tuple[Array, Array]]
     used: NDArray[np.bool_]
     outliers: int
 
     def reading(self, time: float, delay: float) -> Array:
-        """Length reading that counts at a time [s] after a delay [s], in m, shape (n,)."""
+        """Return the length reading that counts at a time after a delay [s], in m, shape (n,)."""
         return self.path.at(np.asarray(time - delay))
 
     def withheld(self, start: int, stop: int) -> tuple[NDArray[np.int64], Pose] | None:
-        """Key frames from length sample start to stop - 1 with measured poses that were not used.
+        """Return key frames of samples start to stop - 1 with poses that were not used.
 
         With all poses withheld they are interpolated to the length samples; else each counts at
         its own time, as between them there are poses that were used.
@@ -75,24 +76,26 @@ class Measured:
             return None
         when = self.recording.time[start:stop]
         if self.used.any():
-            inside = (poses.time >= when[0] - SHORTEST) & (poses.time <= when[-1] + SHORTEST)
+            inside = (poses.time >= when[0] - READING_INTERVAL_MIN_S) & (
+                poses.time <= when[-1] + READING_INTERVAL_MIN_S
+            )
             rows = np.flatnonzero(~self.used & inside)
             keys = nearest(self.time, poses.time[rows])
-            found = Pose(
+            measured = Pose(
                 position=poses.position[rows], rotation=poses.rotation[rows], time=poses.time[rows]
             )
         else:
-            between = poses.at(when, gap_max=GAP)
+            between = poses.at(when, gap_max=POSE_GAP_MAX_S)
             keys = self.samples[start:stop][between.valid]
-            found = Pose(
+            measured = Pose(
                 position=between.pose.position[between.valid],
                 rotation=between.pose.rotation[between.valid],
                 time=when[between.valid],
             )
-        return (keys, found) if len(keys) else None
+        return (keys, measured) if len(keys) else None
 
 
-def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> Measured:
+def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> ArrangedRecording:
     """Put a recording in order.
 
     Args:
@@ -117,11 +120,13 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> M
         stops.append(when[(when >= first) & (when <= last)])
     stops.append(np.array([when for when, _ in groups]))
     time = _apart(np.sort(np.concatenate(stops)))
-    begins = [when - BEFORE for when, _ in groups if when - _previous(time, when) > BEFORE]
+    begins = [
+        when - IMU_STEP_MAX_S for when, _ in groups if when - _previous(time, when) > IMU_STEP_MAX_S
+    ]
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
     known = settings.dynamics.delay
     known = robot.length_delay if known is None else known
-    return Measured(
+    return ArrangedRecording(
         recording=run,
         settings=settings,
         path=LengthPath(kept),
@@ -148,11 +153,11 @@ def _check(run: Recording, settings: SmootherSettings) -> None:
 
 
 def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:
-    """The recording without lengths that no winch can have wound, and how many of them there were.
+    """Return the recording without lengths that no winch can wind, and their number.
 
     What encoders slipped by is taken off.
     """
-    readings = Readings.first(float(run.time[0]), run.unstrained_length[0])
+    readings = LengthReadings.first(float(run.time[0]), run.unstrained_length[0])
     keep = np.ones(len(run.time), dtype=np.bool_)
     lengths = run.unstrained_length.copy()
     jump = settings.dynamics.reading_jump
@@ -167,7 +172,7 @@ def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple
 
 
 def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
-    """Which poses are used."""
+    """Return which poses are used."""
     count = 0 if run.poses is None else len(run.poses.time)
     used = np.full(count, settings.poses != "withheld")
     if settings.poses == "half":
@@ -177,29 +182,33 @@ def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
 
 def _groups(
     run: Recording, settings: SmootherSettings, first: float, last: float
-) -> list[tuple[float, Felt]]:
-    """Inertial samples in groups, each with its mean time [s]."""
+) -> list[tuple[float, ImuMean]]:
+    """Group inertial samples, each group with its mean time [s]."""
     if run.imu is None or not settings.imu:
         return []
-    inside = (run.imu.time > first + SHORTEST) & (run.imu.time <= last)
+    inside = (run.imu.time > first + READING_INTERVAL_MIN_S) & (run.imu.time <= last)
     time = run.imu.time[inside]
     values = np.hstack([run.imu.angular_rate[inside], run.imu.specific_force[inside]])
     groups = []
     start = 0
     for k in range(1, len(time) + 1):
-        if k == len(time) or time[k] - time[start] > settings.imu_step - SHORTEST:
-            felt = Felt(values=values[start:k].mean(axis=0), samples=k - start)
+        if k == len(time) or time[k] - time[start] > IMU_GROUP_TIME_S - READING_INTERVAL_MIN_S:
+            felt = ImuMean(values=values[start:k].mean(axis=0), samples=k - start)
             groups.append((float(time[start:k].mean()), felt))
             start = k
     return groups
 
 
 def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tuple[Array, Array]]:
-    """Poses that are used, by key frame."""
+    """Return the poses that are used, by key frame."""
     if run.poses is None:
         return {}
     when = run.poses.time
-    rows = np.flatnonzero(used & (when >= time[0] - SHORTEST) & (when <= time[-1] + SHORTEST))
+    rows = np.flatnonzero(
+        used
+        & (when >= time[0] - READING_INTERVAL_MIN_S)
+        & (when <= time[-1] + READING_INTERVAL_MIN_S)
+    )
     keys = nearest(time, when[rows])
     return {
         int(key): (run.poses.position[row], run.poses.rotation[row])
@@ -208,17 +217,17 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
 
 
 def _apart(time: Array) -> Array:
-    """Sorted times without those that follow another at once."""
-    return np.asarray(time[np.concatenate([[True], np.diff(time) > SHORTEST])])
+    """Return sorted times without those that follow another at once."""
+    return np.asarray(time[np.concatenate([[True], np.diff(time) > READING_INTERVAL_MIN_S])])
 
 
 def _previous(time: Array, end: float) -> float:
-    """The last of sorted times before another."""
-    return float(time[max(0, int(np.searchsorted(time, end - SHORTEST)) - 1)])
+    """Return the last of sorted times before another."""
+    return float(time[max(0, int(np.searchsorted(time, end - READING_INTERVAL_MIN_S)) - 1)])
 
 
 def nearest(time: Array, when: Array) -> NDArray[np.int64]:
-    """Index of the sorted time that is nearest to each."""
+    """Return the index of the sorted time nearest to each."""
     right = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
     left_is_nearer = when - time[right - 1] <= time[right] - when
     return np.where(left_is_nearer, right - 1, right)

@@ -6,43 +6,48 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.ks_ekf.corrections import rest_noise
 from baselines.ks_ekf.filter_state import (
-    CENTER,
-    FIXED,
-    FORCE_BIAS,
-    LENGTHS,
+    CENTER_ERRORS,
+    FIXED_ERROR_COUNT,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
     NO_SAMPLES,
-    POSE,
-    RATE_BIAS,
-    VELOCITY,
-    FilterState,
+    POSE_ERRORS,
+    RATE_BIAS_ERRORS,
+    VELOCITY_ERRORS,
+    KsEkfState,
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
-from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-LOST = (1.0, 0.5, 1.0)  # position [m], rotation [rad], velocity [m/s] where no pose was found
+LOST_DEVIATIONS = (
+    1.0,
+    0.5,
+    1.0,
+)  # position [m], rotation [rad], velocity [m/s] where no pose was found
 
 
 def prior(robot: Robot, settings: KsEkfSettings) -> Array:
-    """Variances of the errors before anything is measured; pose and velocity unknown."""
+    """Return the variances of the errors before any measurement; pose and velocity unknown."""
     n = robot.n
-    spread = np.zeros(FIXED + n)
-    spread[:9] = np.repeat(LOST, 3)
-    spread[RATE_BIAS] = settings.angular_rate_bias
-    spread[FORCE_BIAS] = settings.specific_force_bias
-    spread[CENTER] = settings.center_of_mass_prior
-    spread[LENGTHS] = settings.length_bias
+    spread = np.zeros(FIXED_ERROR_COUNT + n)
+    spread[:9] = np.repeat(LOST_DEVIATIONS, 3)
+    spread[RATE_BIAS_ERRORS] = settings.angular_rate_bias
+    spread[FORCE_BIAS_ERRORS] = settings.specific_force_bias
+    spread[CENTER_ERRORS] = settings.center_of_mass_prior
+    spread[LENGTH_ERRORS] = settings.length_bias
     return np.asarray(spread**2)
 
 
-def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
-    """A state at home of which nothing is known but the priors."""
-    lost = np.repeat((LOST[2], LOST[1]), 3)
-    return FilterState(
+def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
+    """Return a state at home of which only the priors are known."""
+    lost = np.repeat((LOST_DEVIATIONS[2], LOST_DEVIATIONS[1]), 3)
+    return KsEkfState(
         time=time,
         position=robot.home_position,
         rotation=robot.home_rotation,
@@ -59,16 +64,14 @@ def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
     )
 
 
-def forgotten(robot: Robot, settings: KsEkfSettings, state: FilterState) -> FilterState:
-    """A state of which nothing is known, with the pose and the samples of another one."""
+def forgotten(robot: Robot, settings: KsEkfSettings, state: KsEkfState) -> KsEkfState:
+    """Return an unknown state at the pose and with the samples of another one."""
     nothing, kept = blank(robot, settings, state.time), released(state, settings)
     return replace(nothing, position=kept.position, rotation=kept.rotation, samples=state.samples)
 
 
-def doubted(
-    robot: Robot, settings: KsEkfSettings, state: FilterState, factor: float
-) -> FilterState:
-    """The same with larger standard deviations; constants are never less known than at first."""
+def doubted(robot: Robot, settings: KsEkfSettings, state: KsEkfState, factor: float) -> KsEkfState:
+    """Return the state with larger deviations; constants are never worse than their priors."""
     first = prior(robot, settings)
     growth = np.full(len(first), factor)
     constant = slice(9, None)
@@ -78,8 +81,8 @@ def doubted(
 
 
 def placed(
-    state: FilterState, rest: RestPose, reading: Reading, sway: float, settings: KsEkfSettings
-) -> FilterState:
+    state: KsEkfState, rest: RestPose, reading: TimedLengths, sway: float, settings: KsEkfSettings
+) -> KsEkfState:
     """Put a state at a pose of rest; biases and what is known of them stay.
 
     Args:
@@ -96,18 +99,20 @@ def placed(
     known = state.covariance[unknown, unknown]
     size = len(state.covariance)
     effect = np.zeros((6, size - 9))
-    effect[:, CENTER.start - 9 : CENTER.stop - 9] = rest.per_center
-    effect[:, LENGTHS.start - 9 :] = -rest.per_length
+    effect[:, CENTER_ERRORS.start - 9 : CENTER_ERRORS.stop - 9] = rest.per_center
+    effect[:, LENGTH_ERRORS.start - 9 :] = -rest.per_length
     energy = rest.energy(sway)
-    least = np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+    least = rest_noise()
     noise = settings.length_noise**2 * rest.per_length @ rest.per_length.T
     covariance = np.zeros((size, size))
     covariance[unknown, unknown] = known
-    covariance[POSE, unknown] = effect @ known
-    covariance[unknown, POSE] = covariance[POSE, unknown].T
-    covariance[POSE, POSE] = effect @ known @ effect.T + energy * rest.softness + noise + least
+    covariance[POSE_ERRORS, unknown] = effect @ known
+    covariance[unknown, POSE_ERRORS] = covariance[POSE_ERRORS, unknown].T
+    covariance[POSE_ERRORS, POSE_ERRORS] = (
+        effect @ known @ effect.T + energy * rest.softness + noise + least
+    )
     twist_covariance = energy * rest.lightness + least
-    covariance[VELOCITY, VELOCITY] = twist_covariance[:3, :3]
+    covariance[VELOCITY_ERRORS, VELOCITY_ERRORS] = twist_covariance[:3, :3]
     twist = rest.per_length @ reading.rates
     return replace(
         state,
@@ -123,8 +128,8 @@ def placed(
     )
 
 
-def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float) -> FilterState:
-    """The same, at the platform's origin, of whose pose and motion nothing is known any more."""
+def lost(robot: Robot, settings: KsEkfSettings, state: KsEkfState, time: float) -> KsEkfState:
+    """Return the state at the platform's origin, with pose and motion unknown."""
     nothing, state = blank(robot, settings, time), released(state, settings)
     covariance = nothing.covariance.copy()
     covariance[9:, 9:] = state.covariance[9:, 9:]
@@ -140,15 +145,15 @@ def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float)
     )
 
 
-def inertial(state: FilterState, settings: KsEkfSettings) -> FilterState:
+def inertial(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
     """Let inertial samples carry a state that sits at the platform's origin."""
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
     moved = moved_to_imu(state, rate, settings.imu_position)
     return replace(moved, inertial=True, samples=state.samples.after(state.time))
 
 
-def released(state: FilterState, settings: KsEkfSettings) -> FilterState:
-    """A state that inertial samples carry no more: back at the platform's origin."""
+def released(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
+    """Return the state at the platform's origin, no longer carried by inertial samples."""
     if not state.inertial:
         return state
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)

@@ -1,4 +1,4 @@
-"""What every kinematic controller shares: the reference it aims at, and when."""
+"""Reference ahead of now that every kinematic controller aims at."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import ClassVar, Self
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class AheadSettings:
+class LookaheadSettings:
     """Settings of a controller that sends the lengths of a pose ahead of now.
 
     Attributes:
@@ -32,23 +32,21 @@ class AheadSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if not 0.0 < self.period < np.inf:
-            raise InvalidField("period", f"{self.period} s", "period > 0")
-        if self.delay is not None and not 0.0 <= self.delay < np.inf:
-            raise InvalidField("delay", f"{self.delay} s", "delay >= 0, or none")
-        if not 0.0 <= self.gain < np.inf:
-            raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
+        check_positive("period", self.period, "s")
+        if self.delay is not None:
+            check_not_negative("delay", self.delay, "s")
+        check_not_negative("gain", self.gain, "1/s")
 
 
-def delay_of(robot: Robot, settings: AheadSettings) -> float:
-    """How far ahead to aim [s], as the settings say."""
+def delay_of(robot: Robot, settings: LookaheadSettings) -> float:
+    """Return how far ahead to aim [s], by the settings."""
     if settings.delay is not None:
         return settings.delay
     return float(robot.winch_lag.mean()) + 0.5 * settings.period
 
 
 def interpolated(where: Array, at: Array, value: Array) -> Array:
-    """Values (B, T, 3) at (B, T), linear between and constant outside, at (B, M): (B, M, 3)."""
+    """Interpolate values (B, T, 3) at (B, T) to (B, M), constant outside: (B, M, 3)."""
     return np.stack(
         [
             np.stack([np.interp(w, t, v[:, axis]) for axis in range(3)], axis=-1)
@@ -57,10 +55,10 @@ def interpolated(where: Array, at: Array, value: Array) -> Array:
     )
 
 
-class Ahead:
-    """Where to aim at, cycle by cycle."""
+class Lookahead:
+    """Point to aim at, cycle by cycle."""
 
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+    def __init__(self, robot: Robot, settings: LookaheadSettings) -> None:
         delay = delay_of(robot, settings)
         self._gain = settings.gain * settings.period
         self._delay = delay
@@ -72,7 +70,7 @@ class Ahead:
         self._correction = np.zeros_like(belief.position)
 
     def aim(self, belief: Belief, reference: Reference) -> tuple[Array, Array]:
-        """Position [m] and velocity [m/s] to command now, each of shape (B, 3).
+        """Return position [m] and velocity [m/s] to command now, each of shape (B, 3).
 
         Linear between the rows of the reference; the correction integrates the believed error.
         """
@@ -86,22 +84,24 @@ class Ahead:
         return position + self._correction, np.broadcast_to(velocity, error.shape)
 
 
-class AheadController(ABC):
+class LookaheadController(ABC):
     """A controller that sends the lengths of the pose ahead; subclasses say which lengths."""
 
-    Settings: ClassVar = AheadSettings
+    Settings: ClassVar = LookaheadSettings
     batched: ClassVar = True
 
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+    def __init__(self, robot: Robot, settings: LookaheadSettings) -> None:
         self._robot = robot
-        self._ahead = Ahead(robot, settings)
+        self._ahead = Lookahead(robot, settings)
         self.period = settings.period
         self.horizon = self._ahead.horizon
 
     @classmethod
-    def build(cls, robot: Robot, settings: AheadSettings | None = None, *, seed: int = 0) -> Self:
+    def build(
+        cls, robot: Robot, settings: LookaheadSettings | None = None, *, seed: int = 0
+    ) -> Self:
         """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
-        return cls(robot, settings or AheadSettings())
+        return cls(robot, settings or LookaheadSettings())
 
     def reset(self, belief: Belief) -> None:
         """Forget the correction."""
@@ -109,4 +109,4 @@ class AheadController(ABC):
 
     @abstractmethod
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of the pose ahead."""
+        """Return the lengths of the pose ahead."""

@@ -1,4 +1,4 @@
-"""What fixed looks and actions come to: shows whether a policy is driven as it was trained.
+"""Probe of a policy: results of fixed observations and actions, to notice changed code.
 
 What numbers of an observation and of an action mean is computed from the robot and the settings,
 with constants of the code that a policy does not keep. A policy keeps a probe instead: what came
@@ -18,34 +18,34 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, make_actions
-from learned.observation import Look, Scales, observe
+from learned.observation import ObservationInputs, ObservationScales, observe
 
-SEED = 5
-LOOKS = 6  # the first one rests at home
-INNER = 0.5  # share of the workspace box in which they lie
-CLOSE = {"observation": 1e-3, "length": 1e-4}  # [-] and [m]: what counts as the same
-KEPT = 7  # digits behind the point
+PROBE_SEED = 5
+PROBE_ROWS = 6  # the first one rests at home
+INNER_BOX_RATIO = 0.5  # share of the workspace box in which they lie
+PROBE_TOLERANCES = {"observation": 1e-3, "length": 1e-4}  # [-] and [m]: what counts as the same
+PROBE_DECIMALS = 7  # digits behind the point
 
 
 def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[list[float]]]:
-    """Observations and lengths [m] that fixed looks and actions come to, by name, a row for each.
+    """Compute the observations and lengths [m] of fixed inputs, by name, a row for each.
 
     Args:
         robot: The nominal robot.
         settings: Of the environment of the policy.
     """
-    scales = Scales.of(robot, settings.units)
+    scales = ObservationScales.of(robot, settings.units)
     actions = make_actions(robot, settings, scales)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PROBE_SEED)
     look = _looks(robot, len(settings.preview), actions.size, rng)
     if settings.path.period is None:  # of set-points the target is due
         look = replace(look, due=look.target, due_velocity=look.target_velocity)
-    action = rng.uniform(-1.0, 1.0, (LOOKS, actions.size))
-    found = {
+    action = rng.uniform(-1.0, 1.0, (PROBE_ROWS, actions.size))
+    results = {
         "observation": observe(settings.observation, look, scales),
         "length": actions.lengths(actions.applied(action, look), look),
     }
-    return {name: values.round(KEPT).tolist() for name, values in found.items()}
+    return {name: values.round(PROBE_DECIMALS).tolist() for name, values in results.items()}
 
 
 def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
@@ -69,25 +69,29 @@ def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
         if theirs[name].shape != np.shape(values):
             raise InvalidField("policy", f"{name}s of another size", allowed)
         apart = float(np.abs(theirs[name] - values).max())
-        if not apart <= CLOSE[name]:
-            said = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
-            got = f"trained with another version: {name}s differ by up to {said}"
+        if not apart <= PROBE_TOLERANCES[name]:
+            difference = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
+            got = f"trained with another version: {name}s differ by up to {difference}"
             raise InvalidField("policy", got, allowed)
 
 
-def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) -> Look:
-    """One at rest at home, the others anyhow in the inner part of the workspace box."""
+def _looks(
+    robot: Robot, previews: int, actions: int, rng: np.random.Generator
+) -> ObservationInputs:
+    """Draw inputs in the inner part of the workspace box; the first one is at rest at home."""
     center = (robot.workspace_min + robot.workspace_max) / 2
-    half = INNER * (robot.workspace_max - robot.workspace_min) / 2
-    count = LOOKS - 1
-    later = np.random.default_rng([SEED, 1])  # of parts that came later; older probes stay as is
+    half = INNER_BOX_RATIO * (robot.workspace_max - robot.workspace_min) / 2
+    count = PROBE_ROWS - 1
+    later = np.random.default_rng(
+        [PROBE_SEED, 1]
+    )  # of parts that came later; older probes stay as is
 
     def inside(*shape: int) -> Array:
         return center + half * rng.uniform(-1.0, 1.0, (count, *shape, 3))
 
     position = inside()
     rotation = Rotation.from_rotvec(0.1 * rng.standard_normal((count, 3))).as_matrix()
-    anyhow = Look(
+    anyhow = ObservationInputs(
         position=position,
         rotation=rotation,
         twist=0.3 * rng.standard_normal((count, 6)),
@@ -106,6 +110,6 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
     rest = empty_look(robot, previews, actions)
     both = {
         name: np.concatenate([getattr(rest, name), getattr(anyhow, name)])
-        for name in Look.__dataclass_fields__
+        for name in ObservationInputs.__dataclass_fields__
     }
     return replace(anyhow, **both)

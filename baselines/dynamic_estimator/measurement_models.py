@@ -1,4 +1,4 @@
-"""What IMU and poses say of the errors, and what becomes of errors: for filter and smoother."""
+"""Measurement models of IMU and poses, and the transition of errors: for filter and smoother."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.model import Model, Transition
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.model import DynamicModel, LinearisedStep
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
 from carosac_toolkit.base.arrays import Array
 
+STRETCH_RATE_NOISE_M_PER_S = 0.06  # vibrations of the stretch, which turn the gyroscope
 
-class Felt(NamedTuple):
-    """What an IMU said: the mean of some samples.
+
+class ImuMean(NamedTuple):
+    """Mean of some IMU samples.
 
     Attributes:
         values: Angular rate [rad/s] and specific force [m/s^2] in its axes, shape (6,).
@@ -24,8 +26,8 @@ class Felt(NamedTuple):
     samples: int = 1
 
 
-class Evidence(NamedTuple):
-    """What a measurement says of the errors.
+class LinearisedMeasurement(NamedTuple):
+    """Measurement to first order in the errors.
 
     Attributes:
         residual: Measured minus expected, shape (6,).
@@ -38,10 +40,10 @@ class Evidence(NamedTuple):
     noise: Array
 
 
-class Sensors:
+class MeasurementModels:
     """Measurements of one robot, with their noise."""
 
-    def __init__(self, model: Model, settings: DynamicEstimatorSettings) -> None:
+    def __init__(self, model: DynamicModel, settings: DynamicEstimatorSettings) -> None:
         """Take the numbers of the sensors."""
         self._errors, self._settings, s = model.errors, settings, settings
         self._imu = np.repeat([s.angular_rate_noise**2, s.specific_force_noise**2], 3)
@@ -49,8 +51,8 @@ class Sensors:
         self._poses = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
         self._tension = s.tension_noise * model.robot.weight
 
-    def carried(self, move: Transition, duration: float) -> tuple[Array, float]:
-        """Errors at the end of a step per error at its start, and the share of wind that is left.
+    def carried(self, move: LinearisedStep, duration: float) -> tuple[Array, float]:
+        """Return the transition matrix of the errors over a step, and the share of wind left.
 
         Args:
             move: The step.
@@ -63,20 +65,22 @@ class Sensors:
         carry[where.wind, where.wind] *= keep
         return carry, keep
 
-    def felt(self, move: Transition, felt: Felt) -> Evidence:
-        """What an IMU at the end of a step says of the errors at its start."""
+    def felt(self, move: LinearisedStep, felt: ImuMean) -> LinearisedMeasurement:
+        """Linearise the IMU at the end of a step in the errors at its start."""
         where = self._errors
         by = np.zeros((6, where.size))
         by[:, : where.moving] = move.felt_by
         by[:, where.imu] = np.eye(6)
         pulled = self._tension * move.pulled
-        stretched = self._settings.stretch_rate * move.stretched
+        stretched = STRETCH_RATE_NOISE_M_PER_S * move.stretched
         noise = np.diag(self._imu / felt.samples + self._vibration)
         noise += pulled @ pulled.T + stretched @ stretched.T
-        return Evidence(felt.values - move.felt - move.state.imu_bias, by, noise)
+        return LinearisedMeasurement(felt.values - move.felt - move.state.imu_bias, by, noise)
 
-    def pose(self, state: FilterState, position: Array, rotation: Array) -> Evidence:
-        """What a pose that was measured at the time of a state says.
+    def pose(
+        self, state: DynamicFilterState, position: Array, rotation: Array
+    ) -> LinearisedMeasurement:
+        """Linearise a pose that was measured at the time of a state.
 
         Args:
             state: The estimate.
@@ -87,7 +91,7 @@ class Sensors:
 
         turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
         rigid = self._settings.stretch_noise * state.sway.slaved
-        return Evidence(
+        return LinearisedMeasurement(
             residual=np.concatenate([position - state.position, turn]),
             by=state.pose_by(),
             noise=np.diag(self._poses) + rigid @ rigid.T,

@@ -1,4 +1,4 @@
-"""Where the filter starts: at rest on the first lengths, and how wrong that may be."""
+"""Initial state of the filter: at rest on the first lengths, with its covariance."""
 
 from __future__ import annotations
 
@@ -6,33 +6,40 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import Errors, FilterState
-from baselines.dynamic_estimator.sway import Sway, sway_at
+from baselines.dynamic_estimator.sway_basis import SwayBasis, sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-STEPS = (1e-3, 1e-4, 1e-4, 1e-4)  # of the differences: logarithm of the mass, centre of mass [m]
-LENGTH_STEP = 1e-4  # [m]
+LOAD_STEPS = (
+    1e-3,
+    1e-4,
+    1e-4,
+    1e-4,
+)  # of the differences: logarithm of the mass, centre of mass [m]
+LENGTH_STEP_M = 1e-4
 
 
-class Rest:
+class RestStart:
     """The equilibrium on given lengths, and its derivatives by what is not known."""
 
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
         """Take the robot of n cables."""
         self._robot = robot
         self._settings = settings
-        loads = [replace(robot, mass=robot.mass * np.exp(STEPS[0]))]
+        loads = [replace(robot, mass=robot.mass * np.exp(LOAD_STEPS[0]))]
         for axis in range(3):
-            center = robot.center_of_mass + STEPS[1 + axis] * np.eye(3)[axis]
+            center = robot.center_of_mass + LOAD_STEPS[1 + axis] * np.eye(3)[axis]
             loads.append(replace(robot, center_of_mass=center))
         self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
 
-    def state(self, time: float, reading: Array, speed: float | None = None) -> FilterState | None:
-        """The estimate at rest; None where the robot cannot rest on these lengths.
+    def state(
+        self, time: float, reading: Array, speed: float | None = None
+    ) -> DynamicFilterState | None:
+        """Return the estimate at rest; None where the robot cannot rest on these lengths.
 
         Args:
             time: [s].
@@ -41,17 +48,17 @@ class Rest:
         """
         robot, n = self._robot, self._robot.n
         lengths = np.tile(reading, (5 + n, 1))
-        lengths[5:] -= LENGTH_STEP * np.eye(n)
+        lengths[5:] -= LENGTH_STEP_M * np.eye(n)
         if not (lengths > 0.0).all():
             return None
         alone = forward_kinematics(robot, reading[None])
         if not (alone.converged & alone.stable).all():
             return None
-        found = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
-        if not (found.converged & found.stable).all():
+        rests = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
+        if not (rests.converged & rests.stable).all():
             return None
         sway = sway_at(robot, alone.position[0], alone.rotation[0], reading)
-        return FilterState(
+        return DynamicFilterState(
             time=time,
             position=alone.position[0],
             rotation=alone.rotation[0],
@@ -61,23 +68,25 @@ class Rest:
             center=robot.center_of_mass,
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
-            covariance=self._covariance(alone, sway, self._derivatives(found), speed),
+            covariance=self._covariance(alone, sway, self._derivatives(rests), speed),
             sway=sway,
             tension=alone.tension[0],
             exit_tension=alone.exit_tension[0],
         )
 
-    def _derivatives(self, found: Equilibrium) -> Array:
-        """Pose (6) per logarithm of mass, centre of mass and length biases, shape (6, 4 + n)."""
+    def _derivatives(self, rests: Equilibrium) -> Array:
+        """Return the pose per log mass, centre of mass and length bias, shape (6, 4 + n)."""
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_matrix(found.rotation[1:] @ found.rotation[0].T).as_rotvec()
-        moved = np.hstack([found.position[1:] - found.position[0], turn])
-        steps = np.array([*STEPS, *[LENGTH_STEP] * self._robot.n])
+        turn = Rotation.from_matrix(rests.rotation[1:] @ rests.rotation[0].T).as_rotvec()
+        moved = np.hstack([rests.position[1:] - rests.position[0], turn])
+        steps = np.array([*LOAD_STEPS, *[LENGTH_STEP_M] * self._robot.n])
         return np.asarray((moved / steps[:, None]).T)
 
-    def _covariance(self, rest: Equilibrium, sway: Sway, by: Array, speed: float | None) -> Array:
-        """Of all errors: what is not known moves the rest, about which there is some motion."""
+    def _covariance(
+        self, rest: Equilibrium, sway: SwayBasis, by: Array, speed: float | None
+    ) -> Array:
+        """Return the covariance of all errors: unknowns move the rest, motion comes on top."""
         s, where = self._settings, Errors(self._robot.n)
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force
@@ -98,5 +107,5 @@ class Rest:
 
 
 def _tiled(rest: Equilibrium, size: int) -> Equilibrium:
-    """The same equilibrium several times."""
+    """Repeat an equilibrium."""
     return Equilibrium(**{k: np.repeat(v, size, axis=0) for k, v in vars(rest).items()})

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from baselines.dynamic_estimator.sway import sway_at
+from baselines.dynamic_estimator.sway_basis import sway_at
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest.modes import mass_matrix
 

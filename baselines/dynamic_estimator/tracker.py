@@ -11,22 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Felt
-from baselines.dynamic_estimator.filter import Filter, Tally
-from baselines.dynamic_estimator.model import Model, NoMotion
+from baselines.dynamic_estimator.filter import DynamicFilter, InnovationTally
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import ImuMean
+from baselines.dynamic_estimator.model import DynamicModel, NoMotion
+from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.start import Rest
-from baselines.dynamic_estimator.state import FilterState
-from baselines.length_readings import SHORTEST, Readings
+from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 from carosac_toolkit.robot.robot import Robot
 
-SHORT = 2.0  # time steps: a stretch of lengths that may be taken as straight
-ALIKE = 0.6  # of a time step: IMU samples so close together are taken as one
-WAITING = 400  # IMU samples that wait at most
-STALE = 0.2  # [s] without a length reading, after which lengths are held and doubted
-LATEST = 0.1  # [s]: poses that are later than that against the lengths are not used
+STRAIGHT_TIME_STEPS = 2.0  # over which lengths may be taken as straight
+IMU_GROUP_TIME_STEPS = 0.6  # IMU samples so close together are taken as one
+WAITING_SAMPLES_MAX = 400  # of the IMU: a few seconds of them
+STALE_TIME_S = 0.2  # without a length reading, after which lengths are held and doubted
+POSE_DELAY_MAX_S = 0.1  # behind the lengths: older poses are not used
+RESTART_SPEED_M_PER_S = 0.5  # at which a platform may move where it is hung anew: it need not rest
 
 
 class TimedPose(NamedTuple):
@@ -47,7 +48,7 @@ class TimedPose(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """What is remembered of one robot.
+    """Memory of the tracker of one robot.
 
     Attributes:
         state: The filter where it stands; None where the platform could not be hung yet.
@@ -62,12 +63,12 @@ class Track:
             winches are.
     """
 
-    state: FilterState | None
-    now: FilterState | None
-    readings: Readings
+    state: DynamicFilterState | None
+    now: DynamicFilterState | None
+    readings: LengthReadings
     waiting: Array
     poses: tuple[TimedPose, ...]
-    tally: Tally
+    tally: InnovationTally
     restarts: int
     stale: int = 0
 
@@ -79,10 +80,10 @@ class Tracker:
         """Take the robot."""
         self._robot = robot
         self._settings = settings
-        self._model = Model(robot, settings)
-        self._filter = Filter(self._model, settings)
-        self._rest = Rest(robot, settings)
-        self._short = SHORT * settings.time_step
+        self._model = DynamicModel(robot, settings)
+        self._filter = DynamicFilter(self._model, settings)
+        self._rest = RestStart(robot, settings)
+        self._short = STRAIGHT_TIME_STEPS * settings.time_step
         known = robot.length_delay or 0.0
         self._delay = known if settings.delay is None else settings.delay
 
@@ -96,13 +97,13 @@ class Tracker:
         """
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
-        readings = Readings.first(self._counts(measurement, row), length, slid)
+        readings = LengthReadings.first(self._counts(measurement, row), length, slid)
         state = self._rest.state(now, length - readings.slid, speed)
         if state is not None:
             state = state.slipped(readings.slid)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            poses=(), tally=Tally(), restarts=0,
+            poses=(), tally=InnovationTally(), restarts=0,
         )  # fmt: skip
 
     def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
@@ -118,7 +119,7 @@ class Tracker:
         readings = track.readings.taken(
             when, length, self._robot, self._settings.reading_jump, keep
         )
-        track = replace(track, readings=readings, tally=Tally(),
+        track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
                         poses=_known_poses(track.poses, measurement, row))  # fmt: skip
         if readings.slipped is not None:
@@ -126,7 +127,7 @@ class Tracker:
                 track, state=state.slipped(readings.slipped),
                 readings=replace(readings, slipped=None),
             )  # fmt: skip
-        if now - readings.time[-1] > STALE:
+        if now - readings.time[-1] > STALE_TIME_S:
             track = self._held(track, now)
         try:
             return self._moved(track, measurement, row)
@@ -134,7 +135,7 @@ class Tracker:
             return self._hung_anew(track, measurement, row)
 
     def _counts(self, measurement: Measurement, row: int) -> float:
-        """When the newest length reading counts [s]."""
+        """Return the time at which the newest length reading counts [s]."""
         stamped = measurement.length_rate
         when = measurement.time[row] if stamped is None else stamped.time[row]
         return float(when) + self._delay
@@ -142,7 +143,7 @@ class Tracker:
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on, and encoders have slipped as before."""
         before = track.readings
-        fresh = self.start(measurement, row, self._settings.restart_speed, before.slid)
+        fresh = self.start(measurement, row, RESTART_SPEED_M_PER_S, before.slid)
         readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
         return replace(
             fresh, readings=readings, stale=track.stale,
@@ -150,7 +151,7 @@ class Tracker:
         )  # fmt: skip
 
     def _held(self, track: Track, now: float) -> Track:
-        """Without lengths for long: they are held, and the winches may have wound on."""
+        """Hold the lengths that no longer arrive; the winches may have wound on."""
         assert track.state is not None
         doubt = self._robot.speed_max * (now - track.readings.time[-1])
         return replace(
@@ -159,18 +160,20 @@ class Tracker:
         )  # fmt: skip
 
     def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
-        """The filter to the last known lengths, then the estimate to now."""
+        """Move the filter to the last known lengths, then the estimate to now."""
         now = float(measurement.time[row])
         known = min(now, float(track.readings.time[-1]))
         track = self._fused(track, known, measurement, row)
         state = track.state
         assert state is not None
-        if now - state.time > SHORTEST:
+        if now - state.time > READING_INTERVAL_MIN_S:
             state = self._predicted(state, track.readings, now)
         return replace(track, now=state)
 
-    def _predicted(self, state: FilterState, readings: Readings, now: float) -> FilterState:
-        """The estimate at a later time than lengths are known of, its covariance included."""
+    def _predicted(
+        self, state: DynamicFilterState, readings: LengthReadings, now: float
+    ) -> DynamicFilterState:
+        """Predict the estimate, covariance included, beyond the last known lengths."""
         for end in readings.knots(state.time, now, self._short):
             start = state.time
             state, _ = self._filter.step(state, readings.at(start), readings.at(end), end - start)
@@ -178,66 +181,72 @@ class Tracker:
         return state
 
     def _fused(self, track: Track, known: float, measurement: Measurement, row: int) -> Track:
-        """The filter through all that was measured up to a time."""
+        """Take the filter through all measurements up to a time."""
         state, tally = track.state, track.tally
         assert state is not None
-        groups, waiting = _grouped(track.waiting, known, ALIKE * self._settings.time_step)
-        due = [p for p in track.poses if not p.used and p.time <= known + SHORTEST]
+        groups, waiting = _grouped(
+            track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
+        )
+        due = [p for p in track.poses if not p.used and p.time <= known + READING_INTERVAL_MIN_S]
         stops = sorted({*groups, *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:
-            state, found = self._to(state, track.readings, stop, groups.get(stop))
-            tally = tally + found
+            state, added = self._to(state, track.readings, stop, groups.get(stop))
+            tally = tally + added
             for pose in due:
                 if pose.time == stop:
-                    state, found = self._posed(state, pose)
-                    tally = tally + found
-        poses = tuple(p._replace(used=p.used or p.time <= known + SHORTEST) for p in track.poses)
+                    state, added = self._posed(state, pose)
+                    tally = tally + added
+        poses = tuple(
+            p._replace(used=p.used or p.time <= known + READING_INTERVAL_MIN_S) for p in track.poses
+        )
         return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
 
-    def _posed(self, state: FilterState, pose: TimedPose) -> tuple[FilterState, Tally]:
+    def _posed(
+        self, state: DynamicFilterState, pose: TimedPose
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a pose, unless it is too late to say anything."""
         late = max(0.0, state.time - pose.time)
-        if late > LATEST:
-            return state, Tally(disturbed=1)
+        if late > POSE_DELAY_MAX_S:
+            return state, InnovationTally(disturbed=1)
         return self._filter.pose(state, pose.position, pose.rotation, late)
 
     def _to(
-        self, state: FilterState, readings: Readings, stop: float, group: Array | None
-    ) -> tuple[FilterState, Tally]:
-        """The filter to a time, with the IMU samples (K, 7) there."""
-        tally = Tally()
-        if stop - state.time < SHORTEST:
+        self, state: DynamicFilterState, readings: LengthReadings, stop: float, group: Array | None
+    ) -> tuple[DynamicFilterState, InnovationTally]:
+        """Take the filter to a time, with the IMU samples (K, 7) there."""
+        tally = InnovationTally()
+        if stop - state.time < READING_INTERVAL_MIN_S:
             return state, tally
         for end in readings.knots(state.time, stop, self._short):
             start = state.time
             felt = None
             if group is not None and end == stop:
-                felt = Felt(values=group[:, 1:].mean(axis=0), samples=len(group))
-            state, found = self._filter.step(
+                felt = ImuMean(values=group[:, 1:].mean(axis=0), samples=len(group))
+            state, added = self._filter.step(
                 state, readings.at(start), readings.at(end), end - start, felt
             )
-            state, tally = replace(state, time=end), tally + found
+            state, tally = replace(state, time=end), tally + added
         return state, tally
 
 
 def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
-    """IMU samples that wait, with the new ones."""
+    """Return the waiting IMU samples with the new ones."""
     imu = measurement.imu
     if imu is None:
         return waiting
     new = np.column_stack([imu.time[row], imu.angular_rate[row], imu.specific_force[row]])
-    return np.vstack([waiting, new])[-WAITING:]
+    return np.vstack([waiting, new])[-WAITING_SAMPLES_MAX:]
 
 
 def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Array], Array]:
-    """IMU samples up to a time, in groups of which each is taken at its mean time.
+    """Group IMU samples up to a time; each group counts at its mean time.
 
     Returns:
         The groups, and the samples that are later.
     """
-    ready = samples[samples[:, 0] <= known + SHORTEST]
+    ready = samples[samples[:, 0] <= known + READING_INTERVAL_MIN_S]
     groups: dict[float, Array] = {}
     first = 0
     for k in range(1, len(ready) + 1):
@@ -251,12 +260,12 @@ def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Ar
 def _known_poses(
     poses: tuple[TimedPose, ...], measurement: Measurement, row: int
 ) -> tuple[TimedPose, ...]:
-    """Poses that wait, with the new one if it is one."""
+    """Return the waiting poses with the new one, if there is one."""
     kept = tuple(pose for pose in poses[:-1] if not pose.used) + poses[-1:]
     pose = measurement.pose
     if pose is None:
         return kept
     when = float(measurement.time[row] if pose.time is None else pose.time[row])
-    if kept and when <= kept[-1].time + SHORTEST:
+    if kept and when <= kept[-1].time + READING_INTERVAL_MIN_S:
         return kept
     return (*kept, TimedPose(when, pose.position[row], pose.rotation[row]))

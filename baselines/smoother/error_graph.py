@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Evidence
-from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import Passed
+from baselines.dynamic_estimator.filter_state import Errors
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.smoother.forward_pass import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
-FOREVER = 1e12  # [s]
-FLOOR = 1e-4  # of the scale of an error: what counts as known
+WHOLE_RECORDING_S = 1e12
+KNOWN_DEVIATION_RATIO = 1e-4  # of the scale of an error: what counts as known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
-    """What a graph says of the errors of K key frames.
+class GraphSolution:
+    """Estimated errors of K key frames.
 
     Attributes:
         error: Shape (K, size), what is constant as it was when a key frame left the lag.
@@ -40,7 +40,7 @@ class Solution:
     constant: Array
 
 
-class Graph:
+class ErrorGraph:
     """Graphs of one robot and one start."""
 
     def __init__(self, errors: Errors, scale: Array, start: Array) -> None:
@@ -56,11 +56,11 @@ class Graph:
         fixed[errors.mass] = fixed[errors.center] = True
         self.changing, self.constant = every[~fixed], every[fixed]
         self._scale = scale
-        self._start = start + np.diag((FLOOR * scale) ** 2)
+        self._start = start + np.diag((KNOWN_DEVIATION_RATIO * scale) ** 2)
 
     def solve(
-        self, passed: Passed, time: Array, weight: Mapping[int, float], lag: float | None
-    ) -> Solution:
+        self, passed: ForwardPass, time: Array, weight: Mapping[int, float], lag: float | None
+    ) -> GraphSolution:
         """Find the errors.
 
         Args:
@@ -78,9 +78,9 @@ class Graph:
         params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
         params.setFactorization("QR")
         longest = float(np.diff(time).max())
-        window = FOREVER if lag is None else 2.0 * lag + longest
+        window = WHOLE_RECORDING_S if lag is None else 2.0 * lag + longest
         smoother = gtsam.IncrementalFixedLagSmoother(window, params)
-        found = _Found(self, len(time))
+        reader = _SolutionReader(self, len(time))
         ends = [len(time)] if lag is None else _ends(time, lag)
         begin = taken = 0
         try:
@@ -90,24 +90,29 @@ class Graph:
                 upto = end if whole or lag is None else int(
                     np.searchsorted(time, time[end - 1] - lag, side="right")
                 )  # fmt: skip
-                found.take(smoother, range(taken, upto), whole)
+                reader.take(smoother, range(taken, upto), whole)
                 begin, taken = end, upto
         except RuntimeError as error:
             first = str(error).strip().splitlines()[0]
             raise CarosacError(f"the smoother could not tell the errors: {first}") from error
-        return found.solution()
+        return reader.solution()
 
     def _update(
-        self, smoother: Any, passed: Passed, time: Array, weight: Mapping[int, float], new: range
+        self,
+        smoother: Any,
+        passed: ForwardPass,
+        time: Array,
+        weight: Mapping[int, float],
+        new: range,
     ) -> None:
         """Add key frames to the smoother."""
         import gtsam
 
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        stamps = {CONSTANT: float(time[new[-1]])}
+        stamps = {CONSTANT_KEY: float(time[new[-1]])}
         for k in new:
             if k == 0:
-                values.insert(CONSTANT, np.zeros(len(self.constant)))
+                values.insert(CONSTANT_KEY, np.zeros(len(self.constant)))
                 graph.push_back(self._first(passed.corrections[0]))
             else:
                 link = passed.links[k - 1]
@@ -121,43 +126,43 @@ class Graph:
         smoother.update(graph, values, stamps)
 
     def _first(self, correction: Array) -> Any:
-        """What is known at the start."""
+        """Build the factor of the start."""
         root = _whitening(self._start)
         return self._factor(0, root, -root @ correction)
 
     def _moves(self, k: int, carry: Array, noise: Array, correction: Array) -> Any:
-        """The dynamics from the key frame before to key frame k."""
+        """Build the factor of the dynamics from the key frame before to key frame k."""
         changing, constant = self.changing, self.constant
         root = _whitening(noise[np.ix_(changing, changing)])
         blocks = [
             (_key(k - 1), -root @ carry[np.ix_(changing, changing)] * self._scale[changing]),
             (_key(k), root * self._scale[changing]),
-            (CONSTANT, -root @ carry[np.ix_(changing, constant)] * self._scale[constant]),
+            (CONSTANT_KEY, -root @ carry[np.ix_(changing, constant)] * self._scale[constant]),
         ]
         return _linear(blocks, -root @ correction[changing])
 
-    def _said(self, k: int, said: Evidence, weight: float) -> Any:
-        """A measurement of key frame k."""
-        root = np.sqrt(weight) * _whitening(said.noise)
-        return self._factor(k, root @ said.by, root @ said.residual)
+    def _said(self, k: int, measurement: LinearisedMeasurement, weight: float) -> Any:
+        """Build the factor of a measurement of key frame k."""
+        root = np.sqrt(weight) * _whitening(measurement.noise)
+        return self._factor(k, root @ measurement.by, root @ measurement.residual)
 
     def _factor(self, k: int, by: Array, value: Array) -> Any:
-        """The errors of key frame k times `by` are `value`, with unit noise."""
+        """Build a factor of key frame k: `by` times its errors is `value`, with unit noise."""
         blocks = [
             (_key(k), by[:, self.changing] * self._scale[self.changing]),
-            (CONSTANT, by[:, self.constant] * self._scale[self.constant]),
+            (CONSTANT_KEY, by[:, self.constant] * self._scale[self.constant]),
         ]
         return _linear(blocks, value)
 
     def scaled(self, some: NDArray[np.int64]) -> Array:
-        """What some errors are measured in."""
+        """Return the scales of some errors."""
         return np.asarray(self._scale[some])
 
 
-class _Found:
+class _SolutionReader:
     """Collects a solution, key frame by key frame."""
 
-    def __init__(self, graph: Graph, count: int) -> None:
+    def __init__(self, graph: ErrorGraph, count: int) -> None:
         self._graph = graph
         changing, constant = graph.changing, graph.constant
         self._error = np.zeros((count, len(changing) + len(constant)))
@@ -171,20 +176,22 @@ class _Found:
         values = smoother.calculateEstimate()
         changing, constant = self._graph.changing, self._graph.constant
         here, there = self._graph.scaled(changing), self._graph.scaled(constant)
-        known = there * values.atVector(CONSTANT)
+        known = there * values.atVector(CONSTANT_KEY)
         for k in keys:
             self._error[k, changing] = here * values.atVector(_key(k))
             self._error[k, constant] = known
             self._covariance[k] = smoother.marginalCovariance(_key(k)) * np.outer(here, here)
         if whole:
-            self._constant = smoother.marginalCovariance(CONSTANT) * np.outer(there, there)
+            self._constant = smoother.marginalCovariance(CONSTANT_KEY) * np.outer(there, there)
 
-    def solution(self) -> Solution:
-        """What was found."""
-        return Solution(error=self._error, covariance=self._covariance, constant=self._constant)
+    def solution(self) -> GraphSolution:
+        """Return the collected solution."""
+        return GraphSolution(
+            error=self._error, covariance=self._covariance, constant=self._constant
+        )
 
 
-CONSTANT = 0  # key; those of key frames follow
+CONSTANT_KEY = 0  # key; those of key frames follow
 
 
 def _key(k: int) -> int:
@@ -192,7 +199,7 @@ def _key(k: int) -> int:
 
 
 def _linear(blocks: list[tuple[int, Array]], value: Array) -> Any:
-    """A factor of unit noise: the sum of blocks times variables, by key, is `value`."""
+    """Build a factor of unit noise: the sum of blocks times variables, by key, is `value`."""
     import gtsam
 
     zero = gtsam.Values()  # without it the factor has no error
@@ -205,7 +212,7 @@ def _linear(blocks: list[tuple[int, Array]], value: Array) -> Any:
 
 
 def _ends(time: Array, lag: float) -> list[int]:
-    """One past the last key frame of each part of a recording, a lag long."""
+    """Return one past the last key frame of each part of a recording, a lag long."""
     count = max(1, int(np.ceil((time[-1] - time[0]) / lag)))
     stops = time[0] + lag * np.arange(1, count)
     inner = np.unique(np.searchsorted(time, stops, side="right"))
@@ -213,6 +220,6 @@ def _ends(time: Array, lag: float) -> list[int]:
 
 
 def _whitening(covariance: Array) -> Array:
-    """W with W^T W the inverse of a covariance."""
+    """Return W with W^T W the inverse of a covariance."""
     root = np.linalg.cholesky(covariance)
     return np.asarray(np.linalg.inv(root))

@@ -1,14 +1,14 @@
-"""Whether a belief can be planned from: as long as it agrees with the lengths that were sent."""
+"""Gate for beliefs to plan from: they must agree with the lengths that were sent."""
 
 from __future__ import annotations
 
-from baselines.mpc.observer import SLACK
+from baselines.mpc.observer import BELIEF_GATE_M, SLACK_EXCESS_M
 
-TAUT = 0.3  # [s] with all cables taut, before a new plan begins
-STUCK = 1.0  # [s] of disagreement while the winches rest: then the lengths are wrong
+TAUT_TIME_S = 0.3  # with all cables taut, before a new plan begins
+STUCK_TIME_S = 1.0  # of disagreement while the winches rest: then the lengths are wrong
 
 
-class Agreement:
+class BeliefGate:
     """Counts beliefs that agree, one a period.
 
     On slack cables a platform flies, and a plan for taut ones would drive it on. Such a plan is
@@ -18,16 +18,10 @@ class Agreement:
         usable: Whether to plan from the last belief.
     """
 
-    def __init__(self, gate: float, period: float) -> None:
-        """Start over.
-
-        Args:
-            gate: Distance beyond which a plan is given up [m].
-            period: Between two beliefs [s].
-        """
-        self._gate = gate
-        self._taut = max(1, round(TAUT / period))  # beliefs in a row
-        self._stuck = max(1, round(STUCK / period))
+    def __init__(self, period: float) -> None:
+        """Start with the time between two beliefs [s]."""
+        self._taut = max(1, round(TAUT_TIME_S / period))  # beliefs in a row
+        self._stuck = max(1, round(STUCK_TIME_S / period))
         self.reset()
 
     def reset(self) -> None:
@@ -37,12 +31,12 @@ class Agreement:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has disagreed for long with winches at rest."""
+        """True if it has disagreed for long with winches at rest."""
         return self._far >= self._stuck
 
     def within(self, resting: bool) -> float:
-        """Distance up to which something is learned from a belief [m]."""
-        return min(SLACK, self._gate) if resting else self._gate
+        """Return the distance up to which a belief is learned from [m]."""
+        return SLACK_EXCESS_M if resting else BELIEF_GATE_M
 
     def update(self, distance: float, *, resting: bool, still: bool) -> None:
         """Take in one more belief.
@@ -55,4 +49,4 @@ class Agreement:
         near = distance <= self.within(True)
         self._near = self._near + 1 if near else 0
         self._far = self._far + 1 if resting and still and not near else 0
-        self.usable = self._near >= self._taut if resting else distance <= self._gate
+        self.usable = self._near >= self._taut if resting else distance <= BELIEF_GATE_M

@@ -7,18 +7,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Evidence, Felt, Sensors
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.state import Errors, FilterState
-from baselines.smoother.measured import Measured
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
+from baselines.dynamic_estimator.measurement_models import (
+    ImuMean,
+    LinearisedMeasurement,
+    MeasurementModels,
+)
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 
-FLOOR = 1e-4  # of the scale of an error, per root of a second: noise of what is constant
+CONSTANT_NOISE_RATIO = 1e-4  # of the scale of an error, per root of a second
+LENGTH_SEGMENT_MAX_S = 0.05  # over which lengths go straight: a twentieth of a quick sway
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Link:
+class KeyFrameLink:
     """From one key frame to the next, to first order.
 
     Attributes:
@@ -30,12 +35,12 @@ class Link:
 
     carry: Array
     noise: Array
-    felt: Evidence | None
+    felt: LinearisedMeasurement | None
     expected: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Passed:
+class ForwardPass:
     """A forward pass through K key frames.
 
     Attributes:
@@ -47,28 +52,32 @@ class Passed:
     """
 
     delay: float
-    states: list[FilterState]
+    states: list[DynamicFilterState]
     corrections: Array
-    links: list[Link]
-    poses: dict[int, Evidence]
+    links: list[KeyFrameLink]
+    poses: dict[int, LinearisedMeasurement]
 
 
-class Forward:
+class ForwardModel:
     """Forward passes through one recording.
 
     Errors are those of `Errors`, and one more at the end: that of the delay [s]. A longer one is
     the same motion later.
     """
 
-    def __init__(self, model: Model, measured: Measured, settings: SmootherSettings) -> None:
+    def __init__(
+        self, model: DynamicModel, measured: ArrangedRecording, settings: SmootherSettings
+    ) -> None:
         """Take the dynamics and the recording."""
         self._model = model
         self._measured = measured
         self._settings = settings
-        self._sensors = Sensors(model, settings.dynamics)
-        self._floor = (FLOOR * scales(model, settings)[:-1]) ** 2
+        self._sensors = MeasurementModels(model, settings.dynamics)
+        self._floor = (CONSTANT_NOISE_RATIO * scales(model, settings)[:-1]) ** 2
 
-    def run(self, rest: FilterState, wanted: list[FilterState] | None, delay: float) -> Passed:
+    def run(
+        self, rest: DynamicFilterState, wanted: list[DynamicFilterState] | None, delay: float
+    ) -> ForwardPass:
         """Go through the recording.
 
         Args:
@@ -99,17 +108,17 @@ class Forward:
             k: widened(self._sensors.pose(states[k], *pose), -states[k].twist)
             for k, pose in sorted(self._measured.poses.items())
         }
-        return Passed(
+        return ForwardPass(
             delay=delay, states=states, corrections=added, links=_delayed(links, time), poses=poses
         )
 
     def _to(
-        self, state: FilterState, end: float, felt: Felt | None, delay: float
-    ) -> tuple[FilterState, Link]:
+        self, state: DynamicFilterState, end: float, felt: ImuMean | None, delay: float
+    ) -> tuple[DynamicFilterState, KeyFrameLink]:
         """Move a state to the next key frame."""
         size = self._model.errors.size
-        carry, noise, said, expected = np.eye(size), np.zeros((size, size)), None, None
-        count = max(1, int(np.ceil((end - state.time) / self._settings.grid - 1e-6)))
+        carry, noise, imu, expected = np.eye(size), np.zeros((size, size)), None, None
+        count = max(1, int(np.ceil((end - state.time) / LENGTH_SEGMENT_MAX_S - 1e-6)))
         stops = np.linspace(state.time, end, count + 1)
         for start, stop in pairwise(stops.tolist()):
             reading = self._measured.reading(start, delay), self._measured.reading(stop, delay)
@@ -119,16 +128,18 @@ class Forward:
             if felt is not None and stop == stops[-1]:
                 now = self._sensors.felt(move, felt)
                 expected = move.felt
-                said = Evidence(now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T)
+                imu = LinearisedMeasurement(
+                    now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T
+                )
             carry, noise = step @ carry, step @ noise @ step.T + added
             state = replace(move.state, time=stop, wind=keep * state.wind)
         kept = np.eye(size + 1)  # the delay stays as it is
         kept[:size, :size] = carry
-        link = Link(carry=kept, noise=np.pad(noise, (0, 1)), felt=said, expected=expected)
+        link = KeyFrameLink(carry=kept, noise=np.pad(noise, (0, 1)), felt=imu, expected=expected)
         return replace(state, time=end), link
 
     def _noise(self, duration: float, keep: float) -> Array:
-        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
+        """Return the covariance that a step adds; a share `keep` of the wind remains."""
         where, s = self._model.errors, self._settings.dynamics
         spread = self._floor * duration
         spread[where.wind] += s.wind_force**2 * (1.0 - keep**2)
@@ -145,13 +156,13 @@ class Forward:
         return noise
 
 
-def widened(said: Evidence, late: Array) -> Evidence:
-    """The same, and its change per second (6,) by which the delay is longer."""
-    return said._replace(by=np.column_stack([said.by, late]))
+def widened(measurement: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
+    """Add the delay's column: the change per second (6,) by which it is longer."""
+    return measurement._replace(by=np.column_stack([measurement.by, late]))
 
 
-def _delayed(links: list[Link], time: Array) -> list[Link]:
-    """The same, where the IMU tells of the delay too: by how its readings change with time."""
+def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
+    """Add the delay to the links with an IMU, by how its readings change with time."""
     heard = [k for k, link in enumerate(links) if link.felt is not None]
     if not heard:
         return links
@@ -159,16 +170,16 @@ def _delayed(links: list[Link], time: Array) -> list[Link]:
     rate = np.zeros_like(expected)
     if len(heard) > 1:
         rate = np.gradient(expected, time[np.array(heard) + 1], axis=0)
-    found = list(links)
+    delayed = list(links)
     for k, change in zip(heard, rate, strict=True):
-        said = links[k].felt
-        assert said is not None
-        found[k] = replace(links[k], felt=widened(said, -change))
-    return found
+        felt = links[k].felt
+        assert felt is not None
+        delayed[k] = replace(links[k], felt=widened(felt, -change))
+    return delayed
 
 
-def shifted(state: FilterState, delay: float) -> FilterState:
-    """Where a state is if the motion is later by a delay [s]."""
+def shifted(state: DynamicFilterState, delay: float) -> DynamicFilterState:
+    """Return a state as it is if the motion is later by a delay [s]."""
     import pinocchio
 
     turn = pinocchio.exp3(-delay * state.twist[3:])
@@ -177,37 +188,37 @@ def shifted(state: FilterState, delay: float) -> FilterState:
     )
 
 
-def missing(state: FilterState, wanted: FilterState) -> Array:
-    """Errors of a state against another nearby, in the order of `Errors`, shape (size,).
+def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
+    """Return the errors of a state against another nearby, as in `Errors`, shape (size,).
 
     Of pose and twist these are what sway and length biases can put right; the rest, stretch, is
     the business of the dynamics.
     """
     import pinocchio
 
-    where, found = state.errors, np.zeros(state.errors.size)
+    where, errors = state.errors, np.zeros(state.errors.size)
     turn = pinocchio.log3(np.ascontiguousarray(wanted.rotation @ state.rotation.T))
-    found[where.bias] = wanted.length_bias - state.length_bias
+    errors[where.bias] = wanted.length_bias - state.length_bias
     moved = np.concatenate([wanted.position - state.position, turn])
-    moved -= state.sway.slaved @ found[where.bias]
-    found[where.sway] = state.sway.momentum @ moved
-    found[where.speed] = state.sway.momentum @ (wanted.twist - state.twist)
-    found[where.wind] = wanted.wind - state.wind
-    found[where.mass] = wanted.log_mass - state.log_mass
-    found[where.center] = wanted.center - state.center
-    found[where.imu] = wanted.imu_bias - state.imu_bias
-    return found
+    moved -= state.sway.slaved @ errors[where.bias]
+    errors[where.sway] = state.sway.momentum @ moved
+    errors[where.speed] = state.sway.momentum @ (wanted.twist - state.twist)
+    errors[where.wind] = wanted.wind - state.wind
+    errors[where.mass] = wanted.log_mass - state.log_mass
+    errors[where.center] = wanted.center - state.center
+    errors[where.imu] = wanted.imu_bias - state.imu_bias
+    return errors
 
 
-def scales(model: Model, settings: SmootherSettings) -> Array:
-    """What errors are measured in, so that all are of order one, shape (size + 1,)."""
+def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
+    """Return the scales in which all errors are of order one, shape (size + 1,)."""
     where: Errors = model.errors
     s = settings.dynamics
-    found = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
-    found[where.speed] *= 3.0
-    found[where.wind] = s.wind_force or 1.0
-    found[where.mass] = s.mass or 0.03
-    found[where.center] = s.center_of_mass or 0.01
-    found[where.bias] = s.length_bias or 7e-3
-    found[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
-    return np.append(found, settings.delay)
+    scale = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
+    scale[where.speed] *= 3.0
+    scale[where.wind] = s.wind_force or 1.0
+    scale[where.mass] = s.mass or 0.03
+    scale[where.center] = s.center_of_mass or 0.01
+    scale[where.bias] = s.length_bias or 7e-3
+    scale[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
+    return np.append(scale, settings.delay)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from learned.episodes import PathPool, PathSettings, draw_path, sampled
+from learned.target_paths import PathPool, PathSettings, draw_path, sampled
 from tests.robots import simple_robot
 
 
@@ -81,7 +81,7 @@ def test_paths_with_an_infeasible_target_are_drawn_again(monkeypatch):
     assert any((drawn(settings, seed).position[:, 2] >= 4.0).any() for seed in range(5))
     for seed in range(5):
         assert low(drawn(settings, seed, low).position).all()
-    monkeypatch.setattr("learned.episodes.ATTEMPTS", 3)
+    monkeypatch.setattr("learned.target_paths.PATH_ATTEMPTS_MAX", 3)
     with pytest.raises(CarosacError, match=r"simple: none of 3 random paths .* is feasible"):
         drawn(settings, 0, lambda position: np.zeros(len(position), dtype=bool))
 

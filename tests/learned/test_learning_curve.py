@@ -1,6 +1,13 @@
 import numpy as np
 
-from learned.curve import COLUMNS, Episode, read_curve, read_episodes, write_curve, write_episodes
+from learned.learning_curve import (
+    CURVE_COLUMNS,
+    Episode,
+    read_curve,
+    read_episodes,
+    write_curve,
+    write_episodes,
+)
 
 OLD = """steps,updates,cpu_seconds,reward,median_error_m,median_of_means_m,p95_error_m,rmse_m,inconsistency_m
 15040,0,8.22657,-185.701,1.77687,1.74374,2.66079,1.83208,0.0286639
@@ -8,7 +15,7 @@ OLD = """steps,updates,cpu_seconds,reward,median_error_m,median_of_means_m,p95_e
 
 
 def row(**changes):
-    return dict.fromkeys(COLUMNS, 0.123456789) | {"failed_paths": 3.0} | changes
+    return dict.fromkeys(CURVE_COLUMNS, 0.123456789) | {"failed_paths": 3.0} | changes
 
 
 def test_a_curve_is_read_as_it_was_written_to_six_digits_and_counts_to_the_last_one(tmp_path):

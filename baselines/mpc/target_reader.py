@@ -1,4 +1,4 @@
-"""What the plan should follow: the reference at the plan's times, with the tensions of rest."""
+"""Target of the plan: the reference at the plan's times, with the tensions of rest."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from baselines.mpc.planner import Target
-from baselines.reference_ahead import interpolated
+from baselines.lookahead import interpolated
+from baselines.mpc.planner import PlanTarget
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-REACH = 0.3  # [m]: from farther away the reference is not chased, but approached
-APPROACH = 0.7  # [m/s]
+CHASE_DISTANCE_MAX_M = 0.3  # from farther away the reference is not chased, but approached
+APPROACH_SPEED_M_PER_S = 0.7
 
 
-class Targets:
+class TargetReader:
     """Reads references; tensions of rest are solved for when the reference moves.
 
     Attributes:
@@ -38,12 +38,12 @@ class Targets:
         self.no_rest = 0
 
     def at(self, position: Array) -> Array:
-        """Tensions of rest at a position (3,), else equal shares of the weight [N], shape (n,)."""
+        """Return tensions of rest at a position (3,), or equal shares of the weight [N], (n,)."""
         self._rest(np.stack([position, position]))
         return np.asarray(self._tension[0])
 
-    def read(self, reference: Reference) -> Target:
-        """The reference, linear between its rows, and the last row beyond them."""
+    def read(self, reference: Reference) -> PlanTarget:
+        """Interpolate the reference between its rows; hold the last row beyond them."""
         when, rows = reference.time[0, 0] + self._grid, reference.time[0]
         position, velocity = (
             interpolated(when[None], reference.time, values)[0]
@@ -58,21 +58,23 @@ class Targets:
         self._rest(position[[0, -1]])
         share = (self._grid[:-1] / self._grid[-1])[:, None]
         tension = (1.0 - share) * self._tension[0] + share * self._tension[1]
-        return Target(position=position, velocity=velocity, rotation=rotation, tension=tension)
+        return PlanTarget(position=position, velocity=velocity, rotation=rotation, tension=tension)
 
-    def nearer(self, target: Target, position: Array) -> Target:
-        """The target itself, or a slow way there from where the platform is.
+    def nearer(self, target: PlanTarget, position: Array) -> PlanTarget:
+        """Return the target itself, or a slow way there from where the platform is.
 
         Args:
             target: As read.
             position: Of the platform now in W [m], shape (3,).
         """
-        if float(np.linalg.norm(position - target.position[0])) <= REACH:
+        if float(np.linalg.norm(position - target.position[0])) <= CHASE_DISTANCE_MAX_M:
             return target
         way, here = [position], position
         for goal, step in zip(target.position[1:], np.diff(self._grid), strict=True):
             left = goal - here
-            here = here + left * min(1.0, APPROACH * step / max(float(np.linalg.norm(left)), 1e-9))
+            here = here + left * min(
+                1.0, APPROACH_SPEED_M_PER_S * step / max(float(np.linalg.norm(left)), 1e-9)
+            )
             way.append(here)
         places = np.array(way)
         velocity = np.diff(places, axis=0) / np.diff(self._grid)[:, None]
@@ -80,7 +82,7 @@ class Targets:
         return replace(target, position=places, velocity=velocity, calm=True)
 
     def _rest(self, ends: Array) -> None:
-        """Tensions of rest at the first and the last position; the old ones where there is none."""
+        """Update the tensions of rest at both positions; keep the old ones where there is none."""
         if self._where is not None and np.array_equal(self._where, ends):
             return
         self._where = ends

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from baselines.dynamic_estimator.evidence import Evidence
-from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import Link, Passed
-from baselines.smoother.graph import Graph
+from baselines.dynamic_estimator.filter_state import Errors
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.smoother.error_graph import ErrorGraph
+from baselines.smoother.forward_pass import ForwardPass, KeyFrameLink
 
 COUNT = 25
 TIME = 0.1 * np.arange(COUNT)
@@ -30,19 +30,19 @@ def linear():
         carry[fixed] = np.eye(size)[fixed]
         noise = covariance(size, 0.02)
         noise[fixed] = noise[:, fixed] = 0.0
-        felt = Evidence(
+        felt = LinearisedMeasurement(
             residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
         )
-        links.append(Link(carry=carry, noise=noise, felt=felt))
+        links.append(KeyFrameLink(carry=carry, noise=noise, felt=felt))
     poses = {
-        k: Evidence(
+        k: LinearisedMeasurement(
             residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
         )
         for k in range(0, COUNT, 4)
     }
     corrections = 0.1 * rng.normal(size=(COUNT, size))
     corrections[1:, fixed] = 0.0
-    passed = Passed(delay=0.0, states=[], corrections=corrections, links=links, poses=poses)
+    passed = ForwardPass(delay=0.0, states=[], corrections=corrections, links=links, poses=poses)
     return errors, covariance(size, 1.0), passed
 
 
@@ -78,7 +78,7 @@ def rauch_tung_striebel(start, passed):
 
 def test_the_graph_agrees_with_a_rauch_tung_striebel_smoother(linear):
     errors, start, passed = linear
-    graph = Graph(errors, np.ones(errors.size), start)
+    graph = ErrorGraph(errors, np.ones(errors.size), start)
     found = graph.solve(passed, TIME, {}, None)
     mean, matrix = rauch_tung_striebel(start, passed)
     changing, constant = graph.changing, graph.constant
@@ -90,8 +90,8 @@ def test_the_graph_agrees_with_a_rauch_tung_striebel_smoother(linear):
 def test_the_scale_of_the_errors_does_not_matter(linear):
     errors, start, passed = linear
     scale = np.geomspace(0.1, 10.0, errors.size)
-    one = Graph(errors, np.ones(errors.size), start).solve(passed, TIME, {}, None)
-    other = Graph(errors, scale, start).solve(passed, TIME, {}, None)
+    one = ErrorGraph(errors, np.ones(errors.size), start).solve(passed, TIME, {}, None)
+    other = ErrorGraph(errors, scale, start).solve(passed, TIME, {}, None)
     assert other.error == pytest.approx(one.error, abs=1e-5)
     assert other.covariance == pytest.approx(one.covariance, abs=1e-5)
 
@@ -99,7 +99,7 @@ def test_the_scale_of_the_errors_does_not_matter(linear):
 def test_a_lag_is_the_whole_up_to_its_end(linear):
     """Fixed lag: an estimate knows what is measured up to the end of the part it leaves in."""
     errors, start, passed = linear
-    graph = Graph(errors, np.ones(errors.size), start)
+    graph = ErrorGraph(errors, np.ones(errors.size), start)
     lag = 0.7
     found = graph.solve(passed, TIME, {}, lag)
     whole = graph.solve(passed, TIME, {}, None)
@@ -115,8 +115,8 @@ def test_a_lag_is_the_whole_up_to_its_end(linear):
 
 def test_a_measurement_of_no_weight_is_not_there(linear):
     errors, start, passed = linear
-    graph = Graph(errors, np.ones(errors.size), start)
-    gone = Passed(
+    graph = ErrorGraph(errors, np.ones(errors.size), start)
+    gone = ForwardPass(
         delay=0.0, states=[], corrections=passed.corrections, links=passed.links,
         poses={k: said for k, said in passed.poses.items() if k != 8},
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a training leaves behind as tables: its learning curve, and each episode that ended."""
+"""Tables that a training leaves behind: its learning curve, and each episode that ended."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from carosac_toolkit.base.files import replacing
 
-CURVE, EPISODES = "curve.csv", "episodes.csv"
-COLUMNS = (
+CURVE_FILE, EPISODES_FILE = "curve.csv", "episodes.csv"
+CURVE_COLUMNS = (
     "steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
     "p95_error_m", "rmse_m", "inconsistency_m", "failed_paths",
 )  # fmt: skip
-COUNTS = ("steps", "updates", "failed_paths")  # of the columns, those that are whole numbers
-LATER = ("failed_paths",)  # older curves lack it
+COUNT_COLUMNS = ("steps", "updates", "failed_paths")  # of the columns, those that are whole numbers
+LATER_COLUMNS = ("failed_paths",)  # older curves lack it
 
 
 class Episode(NamedTuple):
@@ -33,7 +33,7 @@ class Episode(NamedTuple):
 
 
 def measured(scores: Mapping[str, Any]) -> dict[str, float]:
-    """The columns that come from `learned.scores.Scores.data` of the test paths."""
+    """Return the columns that come from `PolicyScores.data` of the test paths."""
     return {
         "median_error_m": scores["median_error_m"]["norm"],
         "median_of_means_m": scores["median_of_trajectory_means_m"],
@@ -49,12 +49,14 @@ def write_curve(path: Path, rows: Sequence[dict[str, float]]) -> None:
 
     Args:
         path: The file.
-        rows: A number for each of `COLUMNS`: environment steps and updates so far, CPU time of the
-            stage [s], mean reward of the episodes that ended since the row before [-]; then, of
-            the policy without noise on the test paths, errors and inconsistency [m] up to where a
-            path fails, and how many paths fail.
+        rows: A number for each of `CURVE_COLUMNS`: environment steps and updates so far, CPU time
+            of the stage [s], mean reward of the episodes that ended since the row before [-]; then,
+            of the policy without noise on the test paths, errors and inconsistency [m] up to where
+            a path fails, and how many paths fail.
     """
-    _write(path, COLUMNS, ([_text(name, row[name]) for name in COLUMNS] for row in rows))
+    _write(
+        path, CURVE_COLUMNS, ([_text(name, row[name]) for name in CURVE_COLUMNS] for row in rows)
+    )
 
 
 def read_curve(path: Path) -> list[dict[str, float]]:
@@ -62,8 +64,8 @@ def read_curve(path: Path) -> list[dict[str, float]]:
     rows = []
     with path.open(newline="", encoding="utf-8") as stream:
         for read in csv.DictReader(stream):
-            found = dict.fromkeys(LATER, "nan") | read
-            rows.append({name: float(found[name]) for name in COLUMNS})
+            texts = dict.fromkeys(LATER_COLUMNS, "nan") | read
+            rows.append({name: float(texts[name]) for name in CURVE_COLUMNS})
     return rows
 
 
@@ -91,5 +93,5 @@ def _write(path: Path, header: Sequence[str], lines: Iterable[Sequence[str]]) ->
 
 
 def _text(name: str, value: float) -> str:
-    """A number of the curve; six digits are too few for some numbers of steps."""
-    return f"{value:.0f}" if name in COUNTS else f"{value:.6g}"
+    """Format a number of the curve; six digits are too few for some numbers of steps."""
+    return f"{value:.0f}" if name in COUNT_COLUMNS else f"{value:.6g}"

@@ -10,9 +10,9 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from learned import environment, length_map, observation
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
-from learned.observation import Units
-from learned.probe import CLOSE, check_probe, make_probe
+from learned.observation import ObservationUnits
+from learned.policy_probe import PROBE_TOLERANCES, check_probe, make_probe
+from learned.target_paths import PathSettings
 from tests.robots import eight_cable_robot, simple_robot
 
 ROBOT = simple_robot()
@@ -36,14 +36,14 @@ def test_a_push_is_seen_in_the_lengths():
     """Ten times as much as what would be noticed, at home, from rest."""
     still, pushed = (make_probe(ROBOT, replace(PUSH, reach=reach)) for reach in (1e-9, 3.0))
     apart = np.subtract(pushed["length"][0], still["length"][0])
-    assert np.abs(apart).max() > 10 * CLOSE["length"]
+    assert np.abs(apart).max() > 10 * PROBE_TOLERANCES["length"]
 
 
 @pytest.mark.parametrize(
     ("settings", "module", "name", "value", "message"),
     [
-        (ABSOLUTE, observation, "MARGIN", 0.03, "differ by up to"),
-        (PUSH, length_map, "DEGREE", 5, r"lengths differ by up to .* mm"),
+        (ABSOLUTE, observation, "LENGTH_MARGIN_RATIO", 0.03, "differ by up to"),
+        (PUSH, length_map, "POLYNOMIAL_DEGREE", 5, r"lengths differ by up to .* mm"),
         (PUSH, environment, "make_actions", None, r"lengths differ by up to .* mm"),
     ],
 )
@@ -52,7 +52,7 @@ def test_changed_code_is_noticed(monkeypatch, settings, module, name, value, mes
     probe = make_probe(ROBOT, settings)
     if name == "make_actions":  # another lead
         monkeypatch.setattr(
-            "learned.probe.make_actions",
+            "learned.policy_probe.make_actions",
             lambda robot, *rest: environment.make_actions(
                 replace(robot, winch_lag=2.0 * robot.winch_lag), *rest
             ),
@@ -78,7 +78,7 @@ def test_lengths_may_differ_by_a_tenth_of_a_millimetre_and_no_more():
 def test_other_units_of_an_observation_are_noticed():
     probe = make_probe(ROBOT, PUSH)
     with pytest.raises(InvalidField, match=r"observations differ by up to \d"):
-        check_probe(probe, ROBOT, replace(PUSH, units=Units(error=0.2)))
+        check_probe(probe, ROBOT, replace(PUSH, units=ObservationUnits(error=0.2)))
 
 
 @pytest.mark.parametrize(

@@ -15,17 +15,17 @@ from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random_spline
 
-ATTEMPTS = 100  # to draw a feasible path
-COARSE = 40  # points of a path: the first of so many is looked at before all are
-SCATTER = "scatter"
-AHEAD = 1.0  # [s] of a path that are known beyond the end of an episode, as when driving
+PATH_ATTEMPTS_MAX = 100  # to draw a feasible path
+COARSE_STRIDE = 40  # points of a path: the first of so many is looked at before all are
+SCATTER_KIND = "scatter"
+PATH_LOOKAHEAD_S = 1.0  # of a path that are known beyond the end of an episode, as when driving
 
 Feasible = Callable[[Array], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathSettings:
-    """How targets move in an episode.
+    """Settings of the motion of targets in an episode.
 
     Attributes:
         kind: ``spline``: a cubic spline through six random points of the box; ``minimum_snap``:
@@ -48,9 +48,9 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if self.kind not in (*_DRAWS, SCATTER):
-            raise InvalidField("kind", repr(self.kind), f"one of {sorted((*_DRAWS, SCATTER))}")
-        if self.kind == SCATTER and self.period is not None:
+        if self.kind not in (*_DRAWS, SCATTER_KIND):
+            raise InvalidField("kind", repr(self.kind), f"one of {sorted((*_DRAWS, SCATTER_KIND))}")
+        if self.kind == SCATTER_KIND and self.period is not None:
             raise InvalidField("kind", repr(self.kind), "a curve, where there is a period")
         if not 0.0 < self.speed[0] <= self.speed[1] < np.inf:
             raise InvalidField("speed", f"{self.speed} m/s", "0 < least <= largest, finite")
@@ -62,7 +62,7 @@ class PathSettings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Path:
+class TargetPath:
     """Targets of one episode: the first is where it starts.
 
     Attributes:
@@ -79,7 +79,7 @@ class Path:
     later: Array | None = None
 
     def targets(self) -> Array:
-        """All of it: position, velocity and acceleration in turn, shape (N, 3, 3).
+        """Return position, velocity and acceleration in turn, shape (N, 3, 3).
 
         In the last row it rests where it ends, as it does from there on.
         """
@@ -100,10 +100,10 @@ class PathPool:
         self._arguments = (robot, settings)
         self._seed = seed
         self._feasible = feasible
-        self._paths: dict[int, Path] = {}
+        self._paths: dict[int, TargetPath] = {}
 
-    def path(self, index: int) -> Path:
-        """A path by its number, the same one however often it is asked for."""
+    def path(self, index: int) -> TargetPath:
+        """Return a path by its number, always the same one."""
         if index not in self._paths:
             rng = np.random.default_rng([self._seed, 7, index])
             self._paths[index] = draw_path(*self._arguments, rng, self._feasible)
@@ -112,7 +112,7 @@ class PathPool:
 
 def draw_path(
     robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None = None
-) -> Path:
+) -> TargetPath:
     """Draw until all targets are feasible.
 
     Args:
@@ -124,9 +124,9 @@ def draw_path(
     Raises:
         CarosacError: No feasible path was found in 100 attempts.
     """
-    if settings.kind == SCATTER:
+    if settings.kind == SCATTER_KIND:
         return _scattered(robot, settings, rng, feasible)
-    for _ in range(ATTEMPTS):
+    for _ in range(PATH_ATTEMPTS_MAX):
         try:
             path = sampled(_draw(robot, settings, rng), settings)
         except InvalidField:  # a curve that leaves the box however its points are drawn together
@@ -134,49 +134,50 @@ def draw_path(
         if feasible is None or _all(feasible, path.position):
             return path
     raise CarosacError(
-        f"{robot.name}: none of {ATTEMPTS} random paths in its workspace box is feasible; "
+        f"{robot.name}: none of {PATH_ATTEMPTS_MAX} random paths in its workspace box is feasible; "
         "`carosac check` shows why"
     )
 
 
 def _all(feasible: Feasible, position: Array) -> bool:
-    """Whether all of a path is feasible; most that are not show it at few points."""
-    return bool(feasible(position[::COARSE]).all() and feasible(position).all())
+    """Return whether all of a path is feasible; few points show most that are not."""
+    return bool(feasible(position[::COARSE_STRIDE]).all() and feasible(position).all())
 
 
 def _scattered(
     robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None
-) -> Path:
-    """Feasible points with the density of Chebyshev nodes along each axis."""
+) -> TargetPath:
+    """Draw feasible points with the density of Chebyshev nodes along each axis."""
     center = (robot.workspace_max + robot.workspace_min) / 2
     half = (robot.workspace_max - robot.workspace_min) / 2
     count = settings.steps + 1
-    found = np.zeros((0, 3))
-    for _ in range(ATTEMPTS):
+    points_kept = np.zeros((0, 3))
+    for _ in range(PATH_ATTEMPTS_MAX):
         points = center + half * np.cos(np.pi * rng.uniform(size=(count, 3)))
-        found = np.concatenate([found, points if feasible is None else points[feasible(points)]])
-        if len(found) >= count:
+        good = points if feasible is None else points[feasible(points)]
+        points_kept = np.concatenate([points_kept, good])
+        if len(points_kept) >= count:
             still = np.zeros((count, 3))
-            return Path(position=found[:count], velocity=still, acceleration=still)
+            return TargetPath(position=points_kept[:count], velocity=still, acceleration=still)
     raise CarosacError(
-        f"{robot.name}: too few of {ATTEMPTS * count} random points in its workspace box are "
-        "feasible; `carosac check` shows why"
+        f"{robot.name}: too few of {PATH_ATTEMPTS_MAX * count} random points in its workspace box "
+        "are feasible; `carosac check` shows why"
     )
 
 
-def sampled(trajectory: Trajectory, settings: PathSettings) -> Path:
-    """Targets along a trajectory: in even steps from start to end, or one each period."""
+def sampled(trajectory: Trajectory, settings: PathSettings) -> TargetPath:
+    """Sample targets along a trajectory: in even steps from start to end, or one each period."""
     if settings.period is None:
         times = np.linspace(0.0, trajectory.duration, settings.steps + 1)
         position = trajectory.sample(times).position
         still = np.zeros_like(position)
-        return Path(position=position, velocity=still, acceleration=still)
+        return TargetPath(position=position, velocity=still, acceleration=still)
     count = settings.steps + 1
-    ahead = int(np.ceil(AHEAD / settings.period))
-    found = trajectory.sample(settings.period * np.arange(count + ahead))
-    every = np.stack([found.position, found.velocity, found.acceleration], axis=1)
+    ahead = int(np.ceil(PATH_LOOKAHEAD_S / settings.period))
+    reference = trajectory.sample(settings.period * np.arange(count + ahead))
+    every = np.stack([reference.position, reference.velocity, reference.acceleration], axis=1)
     position, velocity, acceleration = (every[:count, k] for k in range(3))
-    return Path(
+    return TargetPath(
         position=position, velocity=velocity, acceleration=acceleration, later=every[count:]
     )
 

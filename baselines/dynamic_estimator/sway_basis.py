@@ -1,4 +1,4 @@
-r"""Where the cables let the platform go: the ways to sway, and what follows from the lengths.
+r"""Basis of the sway: motions that the cables leave free, and those that follow their lengths.
 
 Cables are stiff: a millimetre too short is a tension of tens of newtons. Pose errors are therefore
 those that leave all lengths as they are, and those that go with errors of the lengths:
@@ -22,7 +22,7 @@ from carosac_toolkit.physics.rest.structure import constrained_motion, structure
 from carosac_toolkit.robot.robot import Robot
 
 
-class Sway(NamedTuple):
+class SwayBasis(NamedTuple):
     """At one pose.
 
     Attributes:
@@ -40,8 +40,8 @@ class Sway(NamedTuple):
     pulls: Array
 
 
-def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> Sway:
-    """Ways to sway.
+def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> SwayBasis:
+    """Return the basis of the sway at a pose.
 
     Args:
         robot: n cables.
@@ -56,7 +56,7 @@ def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: A
     count = max(0, 6 - robot.n)
     left, _, _ = np.linalg.svd(white)
     ways = np.linalg.solve(root.T, left[:, 6 - count :])
-    return Sway(
+    return SwayBasis(
         ways=ways,
         slaved=constrained_motion(mass, structure.T),
         momentum=ways.T @ mass,
