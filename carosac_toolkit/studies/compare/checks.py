@@ -1,84 +1,24 @@
-"""Checks that a study can run: names that exist, numbers in their range."""
+"""Checks of what a study names: plug-ins that exist, settings they have, numbers in range."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
-from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.settings import filled
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import replays
-from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
-from carosac_toolkit.studies.run.folder import check_statuses
-from carosac_toolkit.studies.run.run_case import CASE_DRIVER_SETTINGS, own_settings, plugin_name
-
-if TYPE_CHECKING:
-    from carosac_toolkit.studies.compare.study import Study
-
+from carosac_toolkit.studies.run.run_case import plugin_name
 
 RECORDED_TRAJECTORY = "recorded"  # the path of a recording, the only one on a driver that replays
 
 
-def check_study(study: Study) -> None:
-    """Refuse a study that could not run.
-
-    Raises:
-        CarosacError: What is wrong, and what is allowed.
-    """
-    for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
-        _positive(name, getattr(study, name), unit)
-    study.cases()
-    _check_execution(study)
-    for robot in study.robots:
-        load_robot(robot)
-    driver = _plugin("drivers", study.driver)
-    paths = (
-        (RECORDED_TRAJECTORY, *trajectories.TRAJECTORY_NAMES)
-        if replays(driver)
-        else trajectories.TRAJECTORY_NAMES
-    )
-    _known("trajectory", study.trajectories, paths)
-    _known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
-    own = own_settings(study.driver, study.driver_settings)
-    for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
-        value = repr(own[name])
-        raise InvalidField(f"driver_settings.{name}", value, "none: each case sets it")
-    _check_suites(driver, study.driver, study.suites)
-    _check_settings("driver_settings", study.driver, driver, own)
-    for kind in ("controllers", "estimators"):
-        names = getattr(study, kind)
-        wanted = getattr(study, f"{kind[:-1]}_settings")
-        _known(f"{kind[:-1]}_settings", wanted, names)
-        for name in names:
-            if kind == "estimators" and name == "truth":
-                _check_truth(driver, study.driver)
-                continue
-            plugin = _plugin(kind, name)
-            _check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
-
-
-def _check_execution(study: Study) -> None:
-    """Refuse what `run_cases` would refuse, before anything is said to run."""
-    if not 0.0 < study.timeout < 1e7:
-        raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
-    check_statuses(study.retry)
-    check_whole("batch", study.batch, 1)
-    if study.workers is not None and study.scheduler is not None:
-        allowed = "no number of workers with a scheduler"
-        raise InvalidField("workers", str(study.workers), allowed)
-    if study.workers is not None and study.workers < 0:
-        raise InvalidField("workers", str(study.workers), "0 or more")
-
-
-def _positive(name: str, value: Any, unit: str) -> None:
+def check_positive(name: str, value: Any, unit: str) -> None:
     """Refuse anything but a positive finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InvalidField(name, repr(value), f"a number [{unit}]")
@@ -86,7 +26,7 @@ def _positive(name: str, value: Any, unit: str) -> None:
         raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
 
 
-def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
+def check_known(field: str, names: Any, allowed: Sequence[str]) -> None:
     """Refuse names that are not in a list."""
     for name in names:
         if name not in allowed:
@@ -94,7 +34,7 @@ def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
             raise InvalidField(field, repr(name), choices)
 
 
-def _plugin(kind: Any, name: str) -> Any:
+def find_plugin(kind: Any, name: str) -> Any:
     """Import a plug-in; whatever its import raises becomes one message.
 
     Raises:
@@ -117,7 +57,7 @@ def _plugin(kind: Any, name: str) -> Any:
     return plugin
 
 
-def _check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
+def check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
     """Refuse sensor suites that the driver does not have."""
     kinds = getattr(driver, "Settings", None)
     has_suites = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
@@ -129,7 +69,7 @@ def _check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
             replace(kinds(), suite=suite)  # type: ignore[misc]
 
 
-def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:
+def check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:
     """Refuse settings that a plug-in does not have."""
     check = getattr(plugin, "check_settings", None)
     if not wanted and check is None:
@@ -138,7 +78,7 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
     if not is_dataclass(kinds):
         raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
     where, usual = f"{field} of {name}", kinds()  # type: ignore[operator]
-    _known(where, wanted, sorted(item.name for item in fields(kinds)))
+    check_known(where, wanted, sorted(item.name for item in fields(kinds)))
     check_types(where, usual, wanted)
     try:
         chosen = filled(where, usual, wanted)
@@ -159,7 +99,7 @@ def _ask(name: str, check: Any, chosen: Any) -> None:
         raise CarosacError(message) from error
 
 
-def _check_truth(driver: Any, name: str) -> None:
+def check_truth(driver: Any, name: str) -> None:
     """Refuse the estimator `truth` where the driver knows no truth."""
     if replays(driver) or not callable(getattr(driver, "truth", None)):
         raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

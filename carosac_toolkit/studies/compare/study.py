@@ -9,15 +9,32 @@ from typing import Any
 
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.loop.plugins import name_of
-from carosac_toolkit.studies.compare.checks import RECORDED_TRAJECTORY, check_study
+from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
+from carosac_toolkit.studies.compare.checks import (
+    RECORDED_TRAJECTORY,
+    check_known,
+    check_positive,
+    check_settings,
+    check_suites,
+    check_truth,
+    find_plugin,
+)
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
-from carosac_toolkit.studies.run.folder import free_folder
-from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER, robot_digest
+from carosac_toolkit.studies.run.folder import check_statuses, free_folder
+from carosac_toolkit.studies.run.run_case import (
+    CASE_DRIVER_SETTINGS,
+    DEFAULT_DRIVER,
+    own_settings,
+    robot_digest,
+)
 
 CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
@@ -133,7 +150,7 @@ class Study:
             CarosacError: A name that leads nowhere, a number out of its range, a scheduler that
                 does not answer.
         """
-        check_study(self)
+        _check(self)
         if self.scheduler is not None:
             with remote_client(self.scheduler):
                 pass
@@ -204,3 +221,54 @@ class Study:
 
 
 STUDY_AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+
+
+def _check(study: Study) -> None:
+    """Refuse a study that could not run.
+
+    Raises:
+        CarosacError: What is wrong, and what is allowed.
+    """
+    for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
+        check_positive(name, getattr(study, name), unit)
+    study.cases()
+    _check_execution(study)
+    for robot in study.robots:
+        load_robot(robot)
+    driver = find_plugin("drivers", study.driver)
+    paths = (
+        (RECORDED_TRAJECTORY, *trajectories.TRAJECTORY_NAMES)
+        if replays(driver)
+        else trajectories.TRAJECTORY_NAMES
+    )
+    check_known("trajectory", study.trajectories, paths)
+    check_known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
+    own = own_settings(study.driver, study.driver_settings)
+    for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
+        value = repr(own[name])
+        raise InvalidField(f"driver_settings.{name}", value, "none: each case sets it")
+    check_suites(driver, study.driver, study.suites)
+    check_settings("driver_settings", study.driver, driver, own)
+    for kind in ("controllers", "estimators"):
+        names = getattr(study, kind)
+        wanted = getattr(study, f"{kind[:-1]}_settings")
+        check_known(f"{kind[:-1]}_settings", wanted, names)
+        for name in names:
+            if kind == "estimators" and name == "truth":
+                check_truth(driver, study.driver)
+                continue
+            plugin = find_plugin(kind, name)
+            check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+
+
+def _check_execution(study: Study) -> None:
+    """Refuse what `run_cases` would refuse, before anything is said to run."""
+    if not 0.0 < study.timeout < 1e7:
+        raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
+    check_statuses(study.retry)
+    check_whole("batch", study.batch, 1)
+    if study.workers is not None and study.scheduler is not None:
+        allowed = "no number of workers with a scheduler"
+        raise InvalidField("workers", str(study.workers), allowed)
+    if study.workers is not None and study.workers < 0:
+        raise InvalidField("workers", str(study.workers), "0 or more")
