@@ -115,7 +115,7 @@ class Study:
             settings = getattr(self, f"{kind[:-1]}_settings")
             by_name = {name_of(plugin): values for plugin, values in settings.items()}
             object.__setattr__(self, f"{kind[:-1]}_settings", by_name)
-        known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
+        known = self.trajectories and set(self.trajectories) <= set(trajectories.TRAJECTORY_NAMES)
         if self.driver == "replay" and known:  # `check` refuses all others
             object.__setattr__(self, "trajectories", (RECORDED_TRAJECTORY,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
