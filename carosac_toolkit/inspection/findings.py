@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.inspection.home import RobotAtHome
 from carosac_toolkit.robot.checks import unused_parts
 
 if TYPE_CHECKING:
-    from carosac_toolkit.inspection.report import RobotReport
     from carosac_toolkit.physics.rest.statics import Equilibrium
 
 FAR_DISTANCE_RATIO = (
@@ -27,7 +27,7 @@ HOME_TILT_MAX_DEG = (
 TENSION_ROUNDING_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 
-def problems(report: RobotReport) -> list[str]:
+def problems(report: RobotAtHome) -> list[str]:
     """Explain why the robot cannot stay at home; empty if it can.
 
     Args:
@@ -42,7 +42,7 @@ def problems(report: RobotReport) -> list[str]:
     return [*findings, *_tension_limits(report, home), *_winch_range(report)]
 
 
-def warnings(report: RobotReport) -> list[str]:
+def warnings(report: RobotAtHome) -> list[str]:
     """List suspected mistakes of a robot that may still work.
 
     Args:
@@ -59,7 +59,7 @@ def warnings(report: RobotReport) -> list[str]:
     return findings
 
 
-def _unstable(report: RobotReport) -> str:
+def _unstable(report: RobotAtHome) -> str:
     """Explain an equilibrium that is not stable."""
     growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -FREQUENCY_MIN_HZ]
     if growing:
@@ -72,7 +72,7 @@ def _unstable(report: RobotReport) -> str:
     )
 
 
-def _inside_pulley(report: RobotReport) -> Iterator[str]:
+def _inside_pulley(report: RobotAtHome) -> Iterator[str]:
     """Find anchor points inside their pulley."""
     for i in np.flatnonzero(~report.straight.valid[0]):
         radius = report.robot.pulley_radius[i]
@@ -80,7 +80,7 @@ def _inside_pulley(report: RobotReport) -> Iterator[str]:
         yield f"cable {name} has its anchor point inside its pulley of {radius:g} m radius"
 
 
-def _no_equilibrium(report: RobotReport) -> Iterator[str]:
+def _no_equilibrium(report: RobotAtHome) -> Iterator[str]:
     """Explain why nothing balances at home."""
     from carosac_toolkit.physics.rest.statics import STATUS_REASONS
 
@@ -93,7 +93,7 @@ def _no_equilibrium(report: RobotReport) -> Iterator[str]:
         yield "no tensions hold it there, whatever their limits"
 
 
-def _without_limits(report: RobotReport) -> Equilibrium | None:
+def _without_limits(report: RobotAtHome) -> Equilibrium | None:
     """Solve for rest at home with as few tension limits lifted as possible, upper ones first."""
     from carosac_toolkit.physics.rest import statics
 
@@ -113,7 +113,7 @@ def _without_limits(report: RobotReport) -> Equilibrium | None:
     return None
 
 
-def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
+def _tension_limits(report: RobotAtHome, home: Equilibrium) -> Iterator[str]:
     """Find tensions beyond the limits of the robot."""
     if not home.converged[0]:
         return
@@ -126,7 +126,7 @@ def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
             yield f"{needs}, its minimum is {robot.tension_min[i]:g} N"
 
 
-def _winch_range(report: RobotReport) -> Iterator[str]:
+def _winch_range(report: RobotAtHome) -> Iterator[str]:
     """Find lengths at home beyond the range of the winches."""
     robot, known = report.robot, report.equilibrium.converged[0]
     lengths = report.equilibrium.unstrained_length[0] if known else report.straight.length[0]
@@ -139,7 +139,7 @@ def _winch_range(report: RobotReport) -> Iterator[str]:
             )
 
 
-def _outside(report: RobotReport) -> Iterator[str]:
+def _outside(report: RobotAtHome) -> Iterator[str]:
     """Find a home that no cable pulls to."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -160,7 +160,7 @@ def _outside(report: RobotReport) -> Iterator[str]:
         )
 
 
-def _far_points(report: RobotReport) -> Iterator[str]:
+def _far_points(report: RobotAtHome) -> Iterator[str]:
     """Find points given in another unit than the rest."""
     robot = report.robot
     for kind, points, middle in (
@@ -177,7 +177,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
             )
 
 
-def _low_rank(report: RobotReport) -> Iterator[str]:
+def _low_rank(report: RobotAtHome) -> Iterator[str]:
     """Find cables that leave the platform free to move although there are enough of them."""
     from carosac_toolkit.physics.rest.structure import structure_matrix
 
@@ -206,7 +206,7 @@ def _cause(anchors: Array) -> str:
     return "the cables' lines of action depend on each other"
 
 
-def _deep_sag(report: RobotReport) -> Iterator[str]:
+def _deep_sag(report: RobotAtHome) -> Iterator[str]:
     """Find cables that sag deeply."""
     lengths = report.equilibrium.unstrained_length[0]
     for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
@@ -216,7 +216,7 @@ def _deep_sag(report: RobotReport) -> Iterator[str]:
         )
 
 
-def _long_wrap(report: RobotReport) -> Iterator[str]:
+def _long_wrap(report: RobotAtHome) -> Iterator[str]:
     """Find cables that wrap their pulley the wrong way."""
     robot = report.robot
     for i in np.flatnonzero(report.wrap > np.pi):
