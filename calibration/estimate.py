@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import unit_of
+from carosac_toolkit.robot.parameter_names import unit_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.parameters import point_names
+from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
 

@@ -12,7 +12,8 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.robot.file import parse_robot, robot_path, robot_text
-from carosac_toolkit.robot.parameters import point_names, with_values
+from carosac_toolkit.robot.parameter_names import point_names
+from carosac_toolkit.robot.parameters import with_values
 from carosac_toolkit.robot.robot import Robot
 
 

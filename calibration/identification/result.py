@@ -10,7 +10,7 @@ import numpy as np
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.parameters import field_of
+from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.validation.scores import PoseScores
 
 CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known

@@ -18,7 +18,8 @@ from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
+from carosac_toolkit.robot.parameter_names import field_of, point_names
+from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters

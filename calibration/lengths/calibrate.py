@@ -20,7 +20,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.parameters import field_of
+from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 SAMPLES_MAX = 2000  # used, evenly spread: more of the same run tell hardly more

@@ -12,7 +12,8 @@ from calibration.lengths.settings import LengthSettings
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
+from carosac_toolkit.robot.parameter_names import field_of, point_names
+from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
 LOOSE_OFFSET_SIGMA_M = 1e3  # [m]: prior of an offset that nothing is known of

@@ -27,7 +27,7 @@ from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.robot.parameters import point_names
+from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
 LENGTH_AT_ZERO_SIGMA_M = 0.02  # as measured by hand

@@ -18,7 +18,8 @@ from calibration.tachymeter.sightings import SightedPulley, elevation
 from calibration.tachymeter.survey_fit import CHECKED_REDUNDANCY, SurveyFit, fit
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import point_names, values_of
+from carosac_toolkit.robot.parameter_names import point_names
+from carosac_toolkit.robot.parameters import values_of
 from carosac_toolkit.robot.robot import Robot
 
 EXIT_SCALE_M = (

@@ -11,7 +11,8 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.inspection import findings
 from carosac_toolkit.inspection.home import RobotAtHome
-from carosac_toolkit.robot.parameters import unit_of, values_of, with_values
+from carosac_toolkit.robot.parameter_names import unit_of
+from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from carosac_toolkit.base.arrays import Array, frozen_array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.npz import read_npz, write_npz
 from carosac_toolkit.robot.hardware import Hardware
-from carosac_toolkit.robot.parameters import check_names
+from carosac_toolkit.robot.parameter_names import check_names
 
 
 class RigidBody(NamedTuple):

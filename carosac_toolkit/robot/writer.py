@@ -19,7 +19,7 @@ from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.base.yaml import dump_yaml, round_trip
 from carosac_toolkit.robot.differences import SAME_VALUE_TOLERANCE, differing, same
 from carosac_toolkit.robot.file import parse_file, parse_robot
-from carosac_toolkit.robot.parameters import unit_of
+from carosac_toolkit.robot.parameter_names import unit_of
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import check_names, unit_of, values_of, with_values
+from carosac_toolkit.robot.parameter_names import check_names, unit_of
+from carosac_toolkit.robot.parameters import values_of, with_values
 from tests.robots import simple_robot
 
 NAMES = (

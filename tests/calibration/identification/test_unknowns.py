@@ -11,7 +11,8 @@ import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import field_of, values_of
+from carosac_toolkit.robot.parameter_names import field_of
+from carosac_toolkit.robot.parameters import values_of
 
 
 @pytest.fixture(scope="module")
