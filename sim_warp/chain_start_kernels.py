@@ -7,15 +7,9 @@ as each node hangs from the one above. So a chain has the closure and the stiffn
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import (
-    HALF,
-    ONE,
-    ZERO,
-    Cable,
-    inverse33,
-    pulley_wrap,
-)
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, inverse33, pulley_wrap
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import System, attach, solve_system
 from carosac_toolkit.physics.motion.world_kernels import Plants, Worlds
 from carosac_toolkit.physics.rest.platform_kernels import orthonormal, rotation_of

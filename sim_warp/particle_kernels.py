@@ -22,8 +22,9 @@ say that it is slack.
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, Cable, density_of
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, density_of
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import (
     FAST_MOTION_SHARE,
     FAST_MOTION_SHARE_ROUGH,

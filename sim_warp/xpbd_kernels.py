@@ -12,15 +12,9 @@ References:
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import (
-    HALF,
-    ONE,
-    ZERO,
-    Cable,
-    density_of,
-    inverse33,
-)
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, density_of, inverse33
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, blow, world_inertia
 from carosac_toolkit.physics.motion.world_kernels import (
     Plants,

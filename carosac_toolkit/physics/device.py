@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.cable.catenary_kernels import Cable
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.rest.platform_kernels import StaticBody
 from carosac_toolkit.robot.robot import Robot
 
 BUFFER_SETS_MAX = 12  # sets of buffers remembered per robot

@@ -16,6 +16,7 @@ limit w -> 0 of the same code, without loss of digits.
 import warp as wp
 
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.device_kernels import Cable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -27,22 +28,6 @@ HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
 DIVISION_FLOOR = wp.constant(wp.float64(1.0e-40))  # [N^2] floor of H^2: 1e-20 N
-
-
-@wp.struct
-class Cable:
-    """One cable of a robot: geometry and material."""
-
-    exit_point: wp.vec3d  # datum, in W [m]
-    swivel_axis: wp.vec3d  # direction of travel into the pulley, in W
-    anchor_point: wp.vec3d  # in P [m]
-    pulley_radius: wp.float64  # [m]
-    run_length: wp.float64  # [m]
-    weight_per_length: wp.float64  # [N/m]
-    axial_stiffness: wp.float64  # EA [N]
-    axial_damping: wp.float64  # tension per strain rate [N s]
-    tension_min: wp.float64  # [N]
-    tension_max: wp.float64  # [N]
 
 
 @wp.func

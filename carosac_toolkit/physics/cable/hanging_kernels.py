@@ -4,7 +4,6 @@ import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
     ZERO,
-    Cable,
     HungCable,
     catenary_span,
     guess_cable,
@@ -13,7 +12,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     settle,
 )
 from carosac_toolkit.physics.cable.tension_kernels import pull_down
-from carosac_toolkit.physics.rest.platform_kernels import anchor_of
+from carosac_toolkit.physics.device_kernels import Cable, anchor_of
 
 SETTLED_CLOSURE_MAX = wp.constant(
     wp.float64(1.0e-12)

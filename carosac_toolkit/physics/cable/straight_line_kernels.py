@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from carosac_toolkit.physics.device_kernels import Cable
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 f64 = wp.float64
@@ -239,3 +241,25 @@ def fit_position(
     residual[b] = wp.sqrt(f64(2.0) * cost / cables)
     converged[b] = done
     iterations[b] = count
+
+
+@wp.struct
+class Straight:
+    """A straight cable between its pulley and an anchor."""
+
+    unit: wp.vec3d  # anchor to tangent point
+    length: wp.float64  # wrapped arc + distance [m]
+    bend: wp.mat33d  # second derivative of the length with respect to the anchor [1/m]
+
+
+@wp.func
+def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
+    """Return the straight cable to an anchor point, its pulley included."""
+    out = Straight()
+    length, _wrap, direction, bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    out.length = length
+    out.unit = -direction
+    out.bend = bend
+    return out

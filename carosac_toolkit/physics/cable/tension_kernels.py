@@ -7,12 +7,12 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     ONE,
     TWO,
     ZERO,
-    Cable,
     HungCable,
     hang,
     inverse33,
 )
-from carosac_toolkit.physics.rest.start_kernels import straight_to
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_to
+from carosac_toolkit.physics.device_kernels import Cable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -10,13 +10,13 @@ import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
     ZERO,
-    Cable,
     density_of,
     guess_cable,
     settle,
     vec6d,
 )
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import (
     FAST_MOTION_SHARE,
     BodyMotion,

@@ -2,7 +2,8 @@
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import vec6d
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import (
     BodyMotion,
     DynamicBody,

@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import body_record, cable_records
+from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, Gusts, Wind

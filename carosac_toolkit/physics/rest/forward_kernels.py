@@ -11,19 +11,18 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     HALF,
     TWO,
     ZERO,
-    Cable,
     guess_cable,
     hang,
     inverse33,
     settle,
     vec6d,
 )
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_to
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody, anchor_of
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
-    StaticBody,
     WrenchBalance,
     add_lever,
-    anchor_of,
     cable_stiffness,
     descent_step,
     gravity_balance,
@@ -31,7 +30,7 @@ from carosac_toolkit.physics.rest.platform_kernels import (
     translation,
     turned,
 )
-from carosac_toolkit.physics.rest.start_kernels import cold_start, straight_to
+from carosac_toolkit.physics.rest.start_kernels import cold_start
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

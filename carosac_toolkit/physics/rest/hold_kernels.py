@@ -9,15 +9,9 @@ their limits here: there they are continued to first order, which leaves the sig
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import (
-    DIVISION_FLOOR,
-    ONE,
-    TWO,
-    ZERO,
-    Cable,
-    vec6d,
-)
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, ONE, TWO, ZERO, vec6d
 from carosac_toolkit.physics.cable.tension_kernels import LEAST_TENSION_FACTOR, Pulling, pull
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody, anchor_of
 from carosac_toolkit.physics.rest.inverse_kernels import (
     first_tensions,
     judge_pose,
@@ -34,8 +28,6 @@ from carosac_toolkit.physics.rest.margin_kernels import (
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
-    StaticBody,
-    anchor_of,
     lever_terms,
     orthonormal,
     rotation_of,

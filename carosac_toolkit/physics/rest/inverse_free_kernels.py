@@ -12,13 +12,14 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     ONE,
     TWO,
     ZERO,
-    Cable,
     vec6d,
 )
+from carosac_toolkit.physics.cable.straight_line_kernels import Straight, straight_to
 from carosac_toolkit.physics.cable.tension_kernels import (
     LEAST_TENSION_FACTOR,
     LEAST_TENSION_FACTOR_WIDE,
 )
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody
 from carosac_toolkit.physics.rest.inverse_kernels import (
     STATUS_CONVERGED,
     STATUS_FAILED,
@@ -32,18 +33,12 @@ from carosac_toolkit.physics.rest.inverse_kernels import (
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
-    StaticBody,
     mat66d,
     orthonormal,
     rotation_of,
     scaled_norm,
 )
-from carosac_toolkit.physics.rest.start_kernels import (
-    START_TILT_RAD,
-    Straight,
-    fit_straight,
-    straight_to,
-)
+from carosac_toolkit.physics.rest.start_kernels import START_TILT_RAD, fit_straight
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

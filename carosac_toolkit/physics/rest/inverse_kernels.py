@@ -6,7 +6,7 @@ pulley and run included). The cables are linearised anew until the tensions stay
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ZERO, Cable, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import ZERO, vec6d
 from carosac_toolkit.physics.cable.tension_kernels import (
     LEAST_TENSION_FACTOR,
     Pulling,
@@ -14,13 +14,12 @@ from carosac_toolkit.physics.cable.tension_kernels import (
     lowest_allowed,
     pull,
 )
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody, anchor_of
 from carosac_toolkit.physics.rest.bounded_kernels import bounded_tensions
 from carosac_toolkit.physics.rest.forward_kernels import PoseLoad, load_cables
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
-    StaticBody,
     add_lever,
-    anchor_of,
     factorise,
     gravity_balance,
     scaled_norm,

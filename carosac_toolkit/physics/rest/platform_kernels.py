@@ -7,23 +7,13 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     HALF,
     ONE,
     ZERO,
-    Cable,
     HungCable,
     mat66d,
     vec6d,
 )
+from carosac_toolkit.physics.device_kernels import StaticBody
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-
-@wp.struct
-class StaticBody:
-    """Platform with its payloads, as statics needs it."""
-
-    weight: wp.float64  # [N]
-    center_of_mass: wp.vec3d  # in P [m]
-    arm: wp.float64  # typical lever of an anchor point [m], scales moments and rotations
-    size: wp.float64  # typical cable length [m]
 
 
 @wp.struct
@@ -256,9 +246,3 @@ def translation(step: vec6d) -> wp.vec3d:
 def turned(rotation: wp.mat33d, step: vec6d) -> wp.mat33d:
     """Return the rotation after the angular part of a step, orthonormal to rounding."""
     return orthonormal(rotation_of(wp.vec3d(step[3], step[4], step[5])) * rotation)
-
-
-@wp.func
-def anchor_of(cable: Cable, position: wp.vec3d, rotation: wp.mat33d) -> wp.vec3d:
-    """Return the anchor point in W."""
-    return position + rotation * cable.anchor_point

@@ -7,14 +7,13 @@ energy by a damped Newton method; the multipliers m_i carry the lengths to their
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO, Cable
-from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_to
+from carosac_toolkit.physics.device_kernels import Cable, StaticBody, anchor_of
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
-    StaticBody,
     WrenchBalance,
     add_lever,
-    anchor_of,
     descent_step,
     gravity_balance,
     scaled_norm,
@@ -31,28 +30,6 @@ START_TILT_RAD = wp.constant(wp.float64(0.7))  # of further rotations to start f
 STRETCH_UNDER_WEIGHT = wp.constant(
     wp.float64(0.03)
 )  # stretch under the weight, as a share of cable length
-
-
-@wp.struct
-class Straight:
-    """A straight cable between its pulley and an anchor."""
-
-    unit: wp.vec3d  # anchor to tangent point
-    length: wp.float64  # wrapped arc + distance [m]
-    bend: wp.mat33d  # second derivative of the length with respect to the anchor [1/m]
-
-
-@wp.func
-def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
-    """Return the straight cable to an anchor point, its pulley included."""
-    out = Straight()
-    length, _wrap, direction, bend, _valid = straight_cable(
-        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
-    )
-    out.length = length
-    out.unit = -direction
-    out.bend = bend
-    return out
 
 
 @wp.struct
