@@ -136,7 +136,7 @@ def _train_once(options: Options, preset: Preset, training: TrainingRun) -> Comm
 
 def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -> CommandResult:
     """Train many times, on the study engine."""
-    from learned.training_report import report
+    from learned.commands.training_report import report
 
     check_stages(trainings[0].stages, preset.name)
     robot = load_robot(options.robot)
