@@ -121,6 +121,7 @@ class KinematicSolver:
             position=np.where(good[:, None], result["position"], belief.position),
             rotation=np.where(good[:, None, None], result["rotation"], belief.rotation),
             tension=_keep_tension(good, result["tension"], belief.tension),
+            converged=good,
             memory=replace(
                 record,
                 converged=good,

@@ -76,6 +76,7 @@ class StraightLine:
             belief,
             time=measurement.time,
             position=np.where(good[:, None], fit.position, belief.position),
+            converged=good,
             memory=replace(
                 record,
                 converged=good,

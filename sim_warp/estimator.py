@@ -214,5 +214,6 @@ class SimulatorEstimator:
             rotation=np.where(valid[:, None, None], state.rotation, before.rotation),
             twist=twist,
             tension=tension,
+            converged=valid,
             memory=record,
         )

@@ -40,7 +40,7 @@ CAUGHT = {
         "reset_forgets": {broken.Integrates: r"reset\(\): the same inputs gave other commands"},
         "same_seed_same_commands": {broken.Dices: "made with the same seed disagreed"},
         "extremes_stay_finite": {
-            broken.NanFarAway: "made a number that is not finite",
+            broken.NanFarAway: "produced a number that is not finite",
             broken.CrashesFarAway: "LinAlgError: Singular matrix; allowed: a CarosacError",
         },
         "bare_belief_is_enough": {broken.WantsTwist: "without twist.*TypeError"},
@@ -62,7 +62,7 @@ CAUGHT = {
         "reset_forgets": {broken.Remembers: r"reset\(\): the same measurements gave other beliefs"},
         "same_seed_same_beliefs": {broken.DicesToo: "made with the same seed disagreed"},
         "extremes_stay_finite": {
-            broken.DividesByTime: "made a number that is not finite",
+            broken.DividesByTime: "produced a number that is not finite",
             broken.NanTension: "tension: got a number that is not finite",
         },
         "other_robot_refused": {

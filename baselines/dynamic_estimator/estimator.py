@@ -14,8 +14,7 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.tracker import Track, Tracker
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.loop.consistency import Innovations
-from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.loop.values import Belief, Command, Innovations, Measurement
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -129,7 +128,8 @@ def _belief(
     known = [state for state in now if state is not None]
     if len(known) < len(now):
         return replace(
-            before, time=measurement.time, memory=record,
+            before, time=measurement.time, memory=record, converged=good,
+            innovations=record.innovations,
             position=_kept(now, "position", before.position),
             rotation=_kept(now, "rotation", before.rotation),
             twist=None, covariance=None, tension=None, center_of_mass=None,
@@ -147,6 +147,8 @@ def _belief(
         ),
         tension=np.stack([state.tension for state in known]),
         center_of_mass=_centers(known, settings.center_of_mass),
+        innovations=record.innovations,
+        converged=good,
         memory=record,
     )
 

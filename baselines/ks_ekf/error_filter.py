@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.loop.consistency import Innovations
+from carosac_toolkit.loop.values import Innovations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -355,6 +355,7 @@ class KsEkf:
             covariance=covariance[None],
             tension=None if record.tension is None else record.tension[None],
             center_of_mass=None if center is None else center[None],
+            innovations=record.innovations,
             memory=record,
         )
 

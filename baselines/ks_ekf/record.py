@@ -10,7 +10,7 @@ from baselines.ks_ekf.rest_detection import RecentMeasurements
 from baselines.ks_ekf.timed_lengths import TimedLengths
 from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.loop.consistency import Innovations
+from carosac_toolkit.loop.values import Innovations
 
 NO_SWING = CableSwing()
 

@@ -13,8 +13,6 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
@@ -23,24 +21,6 @@ from carosac_toolkit.loop.values import Belief, State
 
 STATE_SIZE = 12  # of a belief's covariance: position, rotation, velocity, angular velocity
 POSE_SIZE = 6
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Innovations:
-    """Normalised squared innovations of the measurements since the last belief.
-
-    The memory of a belief carries it under the name ``innovations``, if its estimator has any.
-
-    Attributes:
-        squares: Sum of the normalised innovations squared, shape (B,); those that were too far off
-            to be used are left out.
-        dof: Sum of their degrees of freedom, shape (B,); 0 where nothing was measured.
-        rejected: Number of measurements too far off to be used as they are, shape (B,).
-    """
-
-    squares: Array
-    dof: Array
-    rejected: Array
 
 
 def state_error(truth: State, belief: Belief) -> Array:

@@ -14,9 +14,16 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.loop.consistency import Innovations
 from carosac_toolkit.loop.protocols import Controller, Driver, Estimator, Supervisor, TruthSource
-from carosac_toolkit.loop.values import Belief, Command, LimitHit, Measurement, Reference, State
+from carosac_toolkit.loop.values import (
+    Belief,
+    Command,
+    Innovations,
+    LimitHit,
+    Measurement,
+    Reference,
+    State,
+)
 
 
 class BadPlugin(CarosacError):
@@ -331,8 +338,8 @@ def _stacked(values: list[Array | None]) -> Array | None:
 
 def _innovations(beliefs: list[Belief]) -> Innovations | None:
     """Stack the innovations of all cycles if any belief has some; none count as 0."""
-    innovations = [getattr(belief.memory, "innovations", None) for belief in beliefs]
-    if not any(isinstance(one, Innovations) for one in innovations):
+    innovations = [belief.innovations for belief in beliefs]
+    if all(one is None for one in innovations):
         return None
     size = len(beliefs[0].position)
     names = ("squares", "dof", "rejected")

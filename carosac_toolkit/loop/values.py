@@ -8,6 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from carosac_toolkit.base.arrays import Array, check_rotations, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 
@@ -163,6 +166,22 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Innovations:
+    """Normalised squared innovations of the measurements since the last belief.
+
+    Attributes:
+        squares: Sum of the normalised innovations squared, shape (B,); those that were too far off
+            to be used are left out.
+        dof: Sum of their degrees of freedom, shape (B,); 0 where nothing was measured.
+        rejected: Number of measurements too far off to be used as they are, shape (B,).
+    """
+
+    squares: Array
+    dof: Array
+    rejected: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
     """Estimate of the platform state.
 
@@ -176,7 +195,11 @@ class Belief:
         tension: At the platform [N], shape (B, n), or None where the estimator has no forces.
         center_of_mass: Of the platform in P [m], shape (B, 3), or None if it is
             not estimated and that of the robot file holds.
-        memory: Internal values of the estimator, such as biases.
+        innovations: How well the measurements since the last belief fitted, or None where the
+            estimator does not judge them.
+        converged: True where the pose is that of the last update, shape (B,); elsewhere an earlier
+            one was kept. None where the estimator always has one.
+        memory: Internal values of the estimator, such as biases; nobody else reads it.
     """
 
     time: Array
@@ -186,6 +209,8 @@ class Belief:
     covariance: Array | None = None
     tension: Array | None = None
     center_of_mass: Array | None = None
+    innovations: Innovations | None = None
+    converged: NDArray[np.bool_] | None = None
     memory: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

@@ -112,5 +112,5 @@ def _tension(belief: Belief, n: int) -> Array:
 
 def _converged(belief: Belief) -> bool:
     """Return whether a model found this pose, by its own account; True if it gives none."""
-    converged = getattr(belief.memory, "converged", None)
+    converged = belief.converged
     return True if converged is None else bool(np.all(converged))

@@ -1,16 +1,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.loop.consistency import Innovations
 from carosac_toolkit.loop.loop import BadPlugin, run
-from carosac_toolkit.loop.values import Belief, Command, LimitHit, Measurement, State
+from carosac_toolkit.loop.values import Belief, Command, Innovations, LimitHit, Measurement, State
 
 PATH = trajectories.line([0.0, 0.0, 1.0], [1.0, 0.0, 1.0], speed_max=1.0, acceleration_max=1.0)
 CUT = 0.25  # [m] that the scripted driver takes off each command
@@ -298,7 +296,7 @@ class Sure(FakeEstimator):
             super().belief(measurement),
             twist=np.full((size, 6), 0.1 * count),
             covariance=np.tile(np.eye(12) * (1.0 + count), (size, 1, 1)),
-            memory=SimpleNamespace(innovations=result) if count else None,
+            innovations=result if count else None,
         )
 
 

@@ -33,7 +33,8 @@ class Constant:
             time=measurement.time,
             position=self.robot.home_position[None] + shift,
             rotation=self.robot.home_rotation[None],
-            memory=SimpleNamespace(count=count, converged=np.array([converged])),
+            converged=np.array([converged]),
+            memory=SimpleNamespace(count=count),
         )
 
 

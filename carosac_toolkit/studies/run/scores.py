@@ -7,15 +7,9 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.loop.consistency import (
-    POSE_SIZE,
-    STATE_SIZE,
-    Innovations,
-    normalised_square,
-    state_error,
-)
+from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, normalised_square, state_error
 from carosac_toolkit.loop.loop import Log
-from carosac_toolkit.loop.values import Belief, State
+from carosac_toolkit.loop.values import Belief, Innovations, State
 from carosac_toolkit.robot.robot import Robot
 
 UPPER_QUANTILE = 0.95

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.loop.consistency import Innovations, band
+from carosac_toolkit.loop.consistency import band
+from carosac_toolkit.loop.values import Innovations
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import text_table, units
 from carosac_toolkit.studies.run.scores import ESTIMATION_COLUMNS, estimation_scores
