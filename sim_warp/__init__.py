@@ -5,8 +5,9 @@ Each of the names below is imported when it is first used, so that ``import sim_
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from sim_warp.driver import SimDriver, SimDriverSettings, SimPlant
@@ -41,14 +42,4 @@ __all__ = [
     "Snapshot",
 ]
 
-if not TYPE_CHECKING:  # a type checker shall know the names above and no others
-
-    def __getattr__(name: str) -> Any:
-        """Import a public class at its first use."""
-        if name in _MODULE_OF:
-            return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = lazy_names(__name__, _MODULE_OF)
