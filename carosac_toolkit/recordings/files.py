@@ -98,7 +98,7 @@ def export_tum(recording: Recording, path: str | Path) -> None:
 def _replacing(file: Path) -> AbstractContextManager[Path]:
     """Give a temporary path for a file, whose folder must be there."""
     if not file.parent.is_dir():
-        raise InvalidField("path", repr(str(file)), "a file in a folder that exists")
+        raise InvalidField("path", repr(str(file)), "a file in an existing folder")
     return replacing(file)
 
 
