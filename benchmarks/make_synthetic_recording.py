@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=TARGET)
     path = parser.parse_args().output
     recording = make_recording(Settings())
-    recording.save(path)
+    ct.save_recording(recording, path)
     print(f"{path}: {len(recording.time)} samples, {path.stat().st_size / 1e3:.0f} kB")
 
 

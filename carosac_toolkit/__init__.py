@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from carosac_toolkit.physics.cable import catenary, straight_line
     from carosac_toolkit.physics.rest import modes, statics, tension_distribution
     from carosac_toolkit.physics.rest.structure import structure_matrix
+    from carosac_toolkit.recordings.files import export_tum, load_recording, save_recording
     from carosac_toolkit.recordings.metadata import RecordingMetadata
     from carosac_toolkit.recordings.poses import PoseSamples
-    from carosac_toolkit.recordings.recording import Recording, load_recording
+    from carosac_toolkit.recordings.recording import Recording
     from carosac_toolkit.robot.file import list_robots, load_robot
     from carosac_toolkit.robot.robot import Robot
     from carosac_toolkit.studies.compare.results import StudyResults
@@ -44,11 +45,13 @@ __all__ = [
     "Study",
     "StudyResults",
     "catenary",
+    "export_tum",
     "list_robots",
     "load_recording",
     "load_robot",
     "loop",
     "modes",
+    "save_recording",
     "statics",
     "straight_line",
     "structure_matrix",
@@ -74,9 +77,11 @@ _MODULES = {
     "State": "loop.values",
     "Study": "studies.compare.study",
     "StudyResults": "studies.compare.results",
+    "export_tum": "recordings.files",
     "list_robots": "robot.file",
-    "load_recording": "recordings.recording",
+    "load_recording": "recordings.files",
     "load_robot": "robot.file",
+    "save_recording": "recordings.files",
     "structure_matrix": "physics.rest.structure",
     "validate": "validation",
 }

@@ -167,7 +167,7 @@ def bring(folder: Path) -> None:
     trained.mkdir(parents=True)
     shutil.copy(policies / "carosac-settle.onnx", trained / "policy.onnx")
     run = ct.load_recording(find_recording("synthetic"))
-    run.slice(0, 600).save(folder / "run.csv")
+    ct.save_recording(run.slice(0, 600), folder / "run.csv")
     _bag(folder / "run.bag")
 
 

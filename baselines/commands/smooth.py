@@ -29,7 +29,7 @@ from carosac_toolkit.base.tables import terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.cli.outputs import same_file
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording, save_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots
@@ -105,7 +105,7 @@ def run(options: Options) -> CommandResult:
     named = _named(origin, output.parent)
     smoothed = recording_of(result, recording, origin.robot, source, named)
     files = write(folder, result, origin.robot.name)
-    smoothed.save(output)
+    save_recording(smoothed, output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
     sys.stdout.flush()
     for line in warnings(result):

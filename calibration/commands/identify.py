@@ -32,7 +32,8 @@ from calibration.robot_update import check_output
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot

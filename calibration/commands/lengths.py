@@ -49,7 +49,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot

@@ -29,6 +29,7 @@ from carosac_toolkit.interchange.bag_channels import (
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
+from carosac_toolkit.recordings.files import save_recording
 
 _OTHER_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
 
@@ -88,7 +89,7 @@ def run(options: Options) -> CommandResult:
         imported = read_bag(bag, _topics(options))
     _say(imported)
     if options.output is not None:
-        imported.recording.save(options.output)
+        save_recording(imported.recording, options.output)
         print(f"\nrecording: {options.output}; next: carosac validate {options.output}")
     return CommandResult(_data(imported))
 

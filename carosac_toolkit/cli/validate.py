@@ -21,7 +21,8 @@ import tyro
 from carosac_toolkit.base.tables import fit, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
-from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.validation import Context, free_folder, write_report

@@ -12,7 +12,8 @@ from carosac_toolkit.drivers.sensors import check_suite
 from carosac_toolkit.loop.values import Command, Measurement, State
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.encoders import calibrated
-from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
 

@@ -11,24 +11,17 @@ import numpy as np
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile, nearest_name
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
+from carosac_toolkit.recordings.crash_safe import read_crash_safe
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
 
-
-def _read_run(path: Path) -> Recording:
-    """Read a run that was recorded live."""
-    from carosac_toolkit.recordings.crash_safe import read_crash_safe
-
-    return read_crash_safe(path)
-
-
 READERS_BY_SUFFIX: dict[str, Callable[[Path], Recording]] = {
     ".parquet": read_parquet,
     ".csv": read_csv,
     ".mat": read_scampi_mat,
-    ".jsonl": _read_run,
+    ".jsonl": read_crash_safe,
 }
 WRITERS_BY_SUFFIX: dict[str, Callable[[Recording, Path], None]] = {
     ".parquet": write_parquet,
@@ -37,8 +30,20 @@ WRITERS_BY_SUFFIX: dict[str, Callable[[Recording, Path], None]] = {
 _SUFFIX_BY_MAGIC = {b"PAR1": ".parquet", b"MATLAB": ".mat"}
 
 
-def load(path: str | Path) -> Recording:
-    """Read a recording; see `carosac_toolkit.recordings.recording.load_recording`."""
+def load_recording(path: str | Path) -> Recording:
+    """Read a recording.
+
+    ``.parquet`` or ``.csv`` (`carosac_toolkit.recordings`), SCAMPI ``.mat``, or the ``.jsonl`` of
+    a run (`carosac_toolkit.recordings.crash_safe`).
+
+    Args:
+        path: The file.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidField: A suffix that is not known.
+        InvalidFile: A file that is no recording, with all its faults in one message.
+    """
     file = Path(path)
     suffix = file.suffix.lower()
     if file.is_dir():
@@ -60,8 +65,8 @@ def load(path: str | Path) -> Recording:
     return READERS_BY_SUFFIX[suffix](file)
 
 
-def save(recording: Recording, path: str | Path) -> None:
-    """Write ``.parquet`` or ``.csv``, lossless, through a temporary file that is then renamed.
+def save_recording(recording: Recording, path: str | Path) -> None:
+    """Write ``.parquet`` or ``.csv``, lossless, and whole or not at all.
 
     Raises:
         InvalidField: Another suffix, or a folder that is not there.
@@ -79,7 +84,7 @@ def export_tum(recording: Recording, path: str | Path) -> None:
     """Write the poses as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw`` per line.
 
     Raises:
-        InvalidField: The recording has no poses.
+        InvalidField: The recording has no poses, or a folder that is not there.
     """
     poses = recording.poses
     if poses is None:

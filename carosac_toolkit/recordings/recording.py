@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -167,47 +166,12 @@ class Recording:
                 allowed += f"; is column 'unstrained_length_{self.n + 1:02d}_m' missing?"
             raise InvalidField("unstrained_length", f"{self.n} cables", allowed)
 
-    def save(self, path: str | Path) -> None:
-        """Write ``.parquet`` or ``.csv``, lossless, and whole or not at all.
-
-        Raises:
-            InvalidField: Another suffix, or a folder that is not there.
-        """
-        from carosac_toolkit.recordings.files import save
-
-        save(self, path)
-
-    def export_tum(self, path: str | Path) -> None:
-        """Write the poses as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw``."""
-        from carosac_toolkit.recordings.files import export_tum
-
-        export_tum(self, path)
-
     def _check_stamped(self, name: str) -> None:
         """Refuse a channel with another number of cables."""
         channel: Stamped | None = getattr(self, name)
         if channel is not None and channel.value.shape != (len(channel.time), self.n):
             allowed = f"shape (K, {self.n}), one column per cable"
             raise InvalidField(f"{name}.value", f"shape {channel.value.shape}", allowed)
-
-
-def load_recording(path: str | Path) -> Recording:
-    """Read a recording.
-
-    ``.parquet`` or ``.csv`` (`carosac_toolkit.recordings`), SCAMPI ``.mat``, or the ``.jsonl`` of
-    a run (`carosac_toolkit.recordings.crash_safe`).
-
-    Args:
-        path: The file.
-
-    Raises:
-        MissingFile: There is no such file.
-        InvalidField: A suffix that is not known.
-        InvalidFile: A file that is no recording, with all its faults in one message.
-    """
-    from carosac_toolkit.recordings.files import load
-
-    return load(path)
 
 
 def _check_increasing(name: str, time: Array) -> None:

@@ -16,8 +16,9 @@ from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.loop.values import Pose, Stamped
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot

@@ -25,7 +25,7 @@ def run_file(tmp_path_factory):
     settings = RunSettings(moves=4, rate=10.0, condition="none")
     run = simulate_run(ct.load_robot("carosac"), 1, settings)
     path = tmp_path_factory.mktemp("run") / "run.parquet"
-    run.recording.save(path)
+    ct.save_recording(run.recording, path)
     return path
 
 
@@ -77,6 +77,6 @@ def test_the_robot_file_is_never_overwritten(run_file, capsys):
 
 
 def test_a_recording_without_poses_is_refused(run_file, capsys):
-    replace(ct.load_recording(run_file), poses=None).save("blind.parquet")
+    ct.save_recording(replace(ct.load_recording(run_file), poses=None), "blind.parquet")
     assert main(words("blind.parquet")) == 2
     assert "poses" in capsys.readouterr().err

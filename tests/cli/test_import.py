@@ -7,7 +7,7 @@ import json
 import pytest
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.robot.file import load_robot
 from tests.interchange.bags import START, Bags
 from tests.interchange.models import (

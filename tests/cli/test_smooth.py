@@ -27,7 +27,7 @@ def run_file(tmp_path_factory):
     """A short run of a simulated robot, as a file."""
     recording, _ = swing(ct.load_robot("carosac"), duration=1.0)
     path = tmp_path_factory.mktemp("run") / "run.parquet"
-    recording.save(path)
+    ct.save_recording(recording, path)
     return path
 
 
@@ -65,7 +65,9 @@ def test_the_smoothed_recording_finds_its_robot_again(run_file):
     Path("rigs").mkdir()
     Path("rigs/mine.yaml").write_text(robot_text("carosac"))
     recording = replace(ct.load_recording(run_file), imu=None)
-    replace(recording, metadata=replace(recording.metadata, robot="mine.yaml")).save("rigs/a.csv")
+    ct.save_recording(
+        replace(recording, metadata=replace(recording.metadata, robot="mine.yaml")), "rigs/a.csv"
+    )
     assert main(["smooth", "rigs/a.csv", "--report", "report"]) == 0
     again = Path("report/smoothed.parquet")
     assert ct.load_recording(again).metadata.robot == "../rigs/mine.yaml"
@@ -77,17 +79,17 @@ def test_the_smoothed_recording_finds_its_robot_again(run_file):
 def test_a_robot_that_does_not_belong_to_the_recording_is_said(run_file, capsys):
     recording = replace(ct.load_recording(run_file), imu=None)
     moved = ct.load_robot("carosac").exit_points + np.array([0.02, 0.0, 0.0])
-    replace(recording, exit_points=moved).save("moved.parquet")
+    ct.save_recording(replace(recording, exit_points=moved), "moved.parquet")
     assert main(words("moved.parquet")) == 0
     assert "Check the robot: its exit points lie up to 20 mm" in capsys.readouterr().err
     poses = replace(recording.poses, position=1e3 * recording.poses.position)
-    replace(recording, poses=poses).save("far.parquet")
+    ct.save_recording(replace(recording, poses=poses), "far.parquet")
     assert main(words("far.parquet")) == 1
     assert "Lengths and poses fit if the positions are in mm" in capsys.readouterr().err
 
 
 def test_without_poses_there_are_no_scores(run_file, capsys):
-    replace(ct.load_recording(run_file), poses=None, imu=None).save("blind.parquet")
+    ct.save_recording(replace(ct.load_recording(run_file), poses=None, imu=None), "blind.parquet")
     assert main(words("blind.parquet", "--json", "x.json", "--length-bias", "0.001")) == 0
     data = json.loads(Path("x.json").read_text())
     assert data["scores"] is None and data["dynamics"]["length_bias"] == 0.001
@@ -183,6 +185,6 @@ def test_nothing_is_written_twice(run_file, capsys, more, message):
 
 
 def test_poses_that_are_to_be_used_must_be_there(run_file, capsys):
-    replace(ct.load_recording(run_file), poses=None).save("blind.parquet")
+    ct.save_recording(replace(ct.load_recording(run_file), poses=None), "blind.parquet")
     assert main(words("blind.parquet", "--poses", "used")) == 2
     assert "poses: got none in the recording" in capsys.readouterr().err

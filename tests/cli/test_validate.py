@@ -26,7 +26,7 @@ def in_empty_folder(tmp_path, monkeypatch):
 def short(tmp_path_factory):
     """A short piece of the bundled recording, as CSV."""
     path = tmp_path_factory.mktemp("recording") / "short.csv"
-    ct.load_recording(find_recording(BUNDLED)).slice(0, 200).save(path)
+    ct.save_recording(ct.load_recording(find_recording(BUNDLED)).slice(0, 200), path)
     return path
 
 
@@ -97,7 +97,7 @@ def test_the_same_call_gives_the_same_numbers(short):
 def test_reports_of_other_settings_go_to_other_folders(short, capsys):
     Path("sub").mkdir()
     for name in ("short.parquet", "sub/short.csv"):
-        ct.load_recording(short).save(name)
+        ct.save_recording(ct.load_recording(short), name)
     one = ["--models", "straight_line"]
     calls = {
         (str(short),): "short-csv-carosac",
@@ -120,7 +120,9 @@ def test_reports_of_other_settings_go_to_other_folders(short, capsys):
 
 def test_an_implausible_recording_is_warned_of_first_and_a_negative_answer(short, capsys):
     recording = ct.load_recording(short)
-    replace(recording, unstrained_length=1e3 * recording.unstrained_length).save("mm.csv")
+    ct.save_recording(
+        replace(recording, unstrained_length=1e3 * recording.unstrained_length), "mm.csv"
+    )
     assert main(["validate", "mm.csv", "--models", "straight_line", "--json", "x.json"]) == 1
     out = " ".join(capsys.readouterr().out.split())
     message = "Lengths are 1000 times the distance at the measured poses: are they in mm?"
@@ -138,7 +140,7 @@ def test_a_robot_file_is_looked_for_beside_the_recording_first(short, capsys):
         Path(folder).mkdir(exist_ok=True)
         Path(folder, "mine.yaml").write_text(text.replace("name: carosac", f"name: m{mass[:2]}"))
     named = replace(recording.metadata, robot="mine.yaml")
-    replace(recording, metadata=named).save("run/a.csv")
+    ct.save_recording(replace(recording, metadata=named), "run/a.csv")
     words = ["validate", "run/a.csv", "--models", "straight_line", "--json", "x.json"]
     assert main(words) == 0
     assert json.loads(Path("x.json").read_text())["robot"] == "m20"
@@ -157,14 +159,14 @@ def test_a_guessed_robot_is_said_to_be_one(short, capsys):
     recording = ct.load_recording(short)
     points = ct.load_robot("carosac").exit_points
     nameless = replace(recording.metadata, robot=None)
-    replace(recording, metadata=nameless, exit_points=points).save("a.csv")
+    ct.save_recording(replace(recording, metadata=nameless, exit_points=points), "a.csv")
     assert main(["validate", "a.csv", "--models", "straight_line", "--json", "x.json"]) == 0
     assert "robot carosac (a guess: the recording names no robot" in capsys.readouterr().out
     assert json.loads(Path("x.json").read_text())["robot_source"] == "exit points"
 
 
 def test_one_sample_is_scored_and_said_to_be_too_few(short, capsys):
-    ct.load_recording(short).slice(0, 1).save("one.csv")
+    ct.save_recording(ct.load_recording(short).slice(0, 1), "one.csv")
     assert main(["validate", "one.csv"]) == 0
     assert "Only 1 sample scored: too few" in " ".join(capsys.readouterr().out.split())
 

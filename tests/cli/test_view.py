@@ -11,7 +11,7 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording, save_recording
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.page import Page, is_loopback
 
@@ -58,7 +58,7 @@ def test_a_live_simulation_runs_its_time_and_draws(tmp_path):
 
 def test_a_replay_plays_and_ends(tmp_path, capsys):
     file, numbers = tmp_path / "run.csv", tmp_path / "numbers.json"
-    load_recording(find_recording("synthetic")).slice(0, 400).save(file)
+    save_recording(load_recording(find_recording("synthetic")).slice(0, 400), file)
     words = ["view", str(file), str(file), "--duration", "1", "--port", "8660",
              "--json", str(numbers)]  # fmt: skip
     assert main(words) == 0

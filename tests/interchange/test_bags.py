@@ -6,7 +6,7 @@ import pytest
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.interchange.bag import open_bag
 from carosac_toolkit.interchange.bag_recording import Topics, read_bag
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording, save_recording
 from tests.interchange.bags import KINDS, START, Bags
 
 RNG = np.random.default_rng(5)
@@ -70,7 +70,7 @@ def read(path, **topics):
 
 def test_every_number_comes_back_bit_for_bit_at_its_stamp(path, tmp_path):
     found = read(path, lengths=("/joints",), names=tuple(NAMES), pose="/mocap", imu="/imu")
-    found.recording.save(tmp_path / "run.parquet")
+    save_recording(found.recording, tmp_path / "run.parquet")
     run = load_recording(tmp_path / "run.parquet")
     assert np.array_equal(run.unstrained_length, LENGTHS)
     assert np.array_equal(run.time, np.arange(20) * 20_000_000 / 1e9)

@@ -22,7 +22,7 @@ from carosac_toolkit.loop.values import (
     Stamped,
 )
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder, CutRecording, read_run
-from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.recordings.files import load_recording, save_recording
 from tests.robots import simple_robot
 
 WRITER = """
@@ -95,7 +95,7 @@ def test_every_channel_reads_back_bit_by_bit(tmp_path):
 
 def test_it_becomes_any_other_recording_and_can_be_replayed(tmp_path):
     recording = load_recording(recorded(tmp_path / "run.jsonl", make=full))
-    recording.save(tmp_path / "run.parquet")
+    save_recording(recording, tmp_path / "run.parquet")
     again = load_recording(tmp_path / "run.parquet")
     assert np.array_equal(again.unstrained_length, recording.unstrained_length)
     assert np.array_equal(again.poses.quaternion, recording.poses.quaternion)

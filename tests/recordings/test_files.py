@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import loadmat, savemat
 
-from carosac_toolkit import load_recording
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.recordings.files import export_tum, load_recording, save_recording
 from carosac_toolkit.recordings.recording import Recording
 from tests.recordings.synthetic import assert_same, full_recording
 
@@ -30,7 +30,7 @@ def recording() -> Recording:
 def test_every_bit_comes_back(tmp_path, suffix, n):
     recording = full_recording(n=n, seed=n)
     path = tmp_path / f"run.{suffix}"
-    recording.save(path)
+    save_recording(recording, path)
     assert_same(load_recording(path), recording)
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
@@ -39,7 +39,7 @@ def test_every_bit_comes_back(tmp_path, suffix, n):
 def test_extreme_numbers_come_back(tmp_path, suffix):
     lengths = np.array([[5e-324, 1.7976931348623157e308], [0.1 + 0.2, 1 / 3]])
     recording = Recording(time=np.array([1.7e9 + 1e-6, 1.7e9 + 2e-6]), unstrained_length=lengths)
-    recording.save(tmp_path / f"run.{suffix}")
+    save_recording(recording, tmp_path / f"run.{suffix}")
     assert_same(load_recording(tmp_path / f"run.{suffix}"), recording)
 
 
@@ -47,19 +47,19 @@ def test_extreme_numbers_come_back(tmp_path, suffix):
 @pytest.mark.parametrize("absent", ["tension", "poses", "imu", "command", "exit_points"])
 def test_an_absent_channel_stays_absent(tmp_path, suffix, absent):
     recording = full_recording(**{absent: None})
-    recording.save(tmp_path / f"run.{suffix}")
+    save_recording(recording, tmp_path / f"run.{suffix}")
     assert_same(load_recording(tmp_path / f"run.{suffix}"), recording)
 
 
 def test_formats_convert_into_each_other_without_loss(tmp_path, recording):
-    recording.save(tmp_path / "a.csv")
-    load_recording(tmp_path / "a.csv").save(tmp_path / "b.parquet")
-    load_recording(tmp_path / "b.parquet").save(tmp_path / "c.csv")
+    save_recording(recording, tmp_path / "a.csv")
+    save_recording(load_recording(tmp_path / "a.csv"), tmp_path / "b.parquet")
+    save_recording(load_recording(tmp_path / "b.parquet"), tmp_path / "c.csv")
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "c.csv").read_bytes()
 
 
 def test_parquet_is_one_table_sorted_by_time_with_nulls_and_a_document(tmp_path, recording):
-    recording.save(tmp_path / "run.parquet")
+    save_recording(recording, tmp_path / "run.parquet")
     table = pq.read_table(tmp_path / "run.parquet")
     time = table["time_s"].to_numpy()
     stamps = set(np.concatenate(list(recording.channel_times.values())).tolist())
@@ -83,30 +83,30 @@ def test_saving_replaces_a_file_whole_or_not_at_all(tmp_path, recording, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr("carosac_toolkit.recordings.csv_file._cells", fail)
         with pytest.raises(CarosacError, match="cannot be written: disk full"):
-            recording.save(path)
+            save_recording(recording, path)
     assert path.read_text() == "precious"
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
-    recording.save(path)
+    save_recording(recording, path)
     assert_same(load_recording(path), recording)
 
 
 def test_saving_refuses_other_suffixes_and_folders(tmp_path, recording):
     with pytest.raises(InvalidField, match=r"path: got suffix '.xlsx' .* .parquet or .csv"):
-        recording.save(tmp_path / "run.xlsx")
+        save_recording(recording, tmp_path / "run.xlsx")
     with pytest.raises(InvalidField, match=r"path: .*allowed: a file in an existing folder"):
-        recording.save(tmp_path / "nowhere" / "run.csv")
+        save_recording(recording, tmp_path / "nowhere" / "run.csv")
     assert not list(tmp_path.iterdir())
 
 
 def test_tum_has_the_quaternion_scalar_last(tmp_path, recording):
-    recording.export_tum(tmp_path / "run.tum")
+    export_tum(recording, tmp_path / "run.tum")
     rows = np.loadtxt(tmp_path / "run.tum")
     np.testing.assert_array_equal(rows[:, 0], recording.poses.time)
     np.testing.assert_array_equal(rows[:, 1:4], recording.poses.position)
     np.testing.assert_array_equal(rows[:, 4:7], recording.poses.quaternion[:, 1:])
     np.testing.assert_array_equal(rows[:, 7], recording.poses.quaternion[:, 0])
     with pytest.raises(InvalidField, match="poses: got None"):
-        full_recording(poses=None).export_tum(tmp_path / "other.tum")
+        export_tum(full_recording(poses=None), tmp_path / "other.tum")
 
 
 # Tables of others
@@ -230,7 +230,7 @@ def test_all_faults_come_in_one_message_but_no_flood(tmp_path):
 
 
 def test_a_missing_file_suggests_a_neighbour(tmp_path, recording):
-    recording.save(tmp_path / "monday.csv")
+    save_recording(recording, tmp_path / "monday.csv")
     with pytest.raises(MissingFile, match=r"mondy.csv: no such file; did you mean '.*monday.csv'"):
         load_recording(tmp_path / "mondy.csv")
     with pytest.raises(MissingFile, match="there is no folder"):
@@ -242,7 +242,7 @@ def test_wrong_suffix_folder_and_wrong_content(tmp_path, recording):
         load_recording(write(tmp_path, HEADER, "run.txt"))
     with pytest.raises(InvalidFile, match="this is a folder"):
         load_recording(tmp_path)
-    recording.save(tmp_path / "run.parquet")
+    save_recording(recording, tmp_path / "run.parquet")
     (tmp_path / "run.parquet").rename(tmp_path / "run.csv")
     with pytest.raises(InvalidFile, match=r"the content is that of a .parquet file; rename it"):
         load_recording(tmp_path / "run.csv")
@@ -251,7 +251,7 @@ def test_wrong_suffix_folder_and_wrong_content(tmp_path, recording):
 @pytest.mark.parametrize("suffix", LOSSLESS)
 def test_a_file_cut_anywhere_is_refused_in_one_message(tmp_path, suffix, recording):
     path = tmp_path / f"run.{suffix}"
-    recording.save(path)
+    save_recording(recording, path)
     whole = path.read_bytes()
     for size in (1, len(whole) // 5, len(whole) // 2, len(whole) - 9, len(whole) - 1):
         path.write_bytes(whole[:size])
@@ -350,7 +350,7 @@ def test_the_real_chords_match_the_lengths(real_data):
 @pytest.mark.parametrize("source", ["csv", "mat"])
 def test_the_real_recording_round_trips(real_data, tmp_path, suffix, source):
     run = load_recording(real_data / f"scampi_run_part.{source}")
-    run.save(tmp_path / f"run.{suffix}")
+    save_recording(run, tmp_path / f"run.{suffix}")
     assert_same(load_recording(tmp_path / f"run.{suffix}"), run)
     if source == "mat":
         published = loadmat(real_data / "scampi_run_part.mat")["measured_cable_lengths"]

@@ -28,10 +28,11 @@ def test_lengths_alone_are_played_as_poses_of_rest_with_their_tensions(way, tmp_
     _, time, rest = way
     metadata = RecordingMetadata(robot="carosac")
     file = tmp_path / "lengths.csv"
-    Recording(
+    recording = Recording(
         time=time + 5.0, unstrained_length=rest.unstrained_length, metadata=metadata,
         command=Stamped(time=time[:-5] + 5.0, value=rest.unstrained_length[5:]),
-    ).save(file)  # fmt: skip
+    )  # fmt: skip
+    ct.save_recording(recording, file)
     (run,) = load_runs(str(file))
     assert run.time == pytest.approx(time)
     assert run.position == pytest.approx(rest.position, abs=1e-6)
@@ -100,8 +101,8 @@ def test_what_cannot_be_played_is_refused(tmp_path, way):
         load_runs(str(tmp_path))
     file = tmp_path / "relative.csv"
     metadata = RecordingMetadata(robot="carosac", length_kind="relative")
-    Recording(time=time, unstrained_length=rest.unstrained_length - 5.0, metadata=metadata).save(
-        file
-    )
+    lengths = rest.unstrained_length - 5.0
+    recording = Recording(time=time, unstrained_length=lengths, metadata=metadata)
+    ct.save_recording(recording, file)
     with pytest.raises(CarosacError, match="neither poses nor absolute lengths"):
         load_runs(str(file))

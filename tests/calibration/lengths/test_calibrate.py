@@ -21,7 +21,8 @@ from calibration.lengths.synthetic import LengthSceneSettings, draw_length_scene
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.recordings.encoders import unstrained_lengths
-from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.recordings.recording import Recording
 from tests.calibration.lengths.scenes import exit_error, scene, with_pulleys
 
 

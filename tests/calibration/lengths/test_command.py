@@ -22,11 +22,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         settings=LengthSceneSettings(samples=150),
     )
     path = tmp_path_factory.mktemp("lengths") / "run.csv"
-    made.recording.save(path)
+    ct.save_recording(made.recording, path)
     swapped = replace(
         made.recording, unstrained_length=made.recording.unstrained_length[:, [0, 2, 1, 3]]
     )
-    swapped.save(path.with_name("swapped.csv"))
+    ct.save_recording(swapped, path.with_name("swapped.csv"))
     return path
 
 

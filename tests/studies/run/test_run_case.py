@@ -10,6 +10,7 @@ import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.loop import Log
+from carosac_toolkit.recordings.files import save_recording
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.studies import Case
@@ -250,7 +251,7 @@ def test_on_a_recording_only_commands_and_estimates_are_scored():
 
 def test_a_recording_is_played_to_its_end(tmp_path):
     path = tmp_path / "short.parquet"
-    replace(full_recording(), exit_points=None).save(path)
+    save_recording(replace(full_recording(), exit_points=None), path)
     settings = FAST | {"driver": "replay", "driver_settings": {"recording": str(path)}}
     row = run_case(case(settings=settings, estimator="straight_line", trajectory="recorded"))
     assert (row["completed"], row["steps"]) == (True, 50)
