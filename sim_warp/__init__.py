@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __carosac__ = True  # marks this package as ours: the name is not unique
 
-_MODULE_OF = {
+_MODULES = {
     "SimDriver": "driver",
     "SimDriverSettings": "driver",
     "SimPlant": "driver",
@@ -42,4 +42,4 @@ __all__ = [
     "Snapshot",
 ]
 
-__getattr__, __dir__ = lazy_names(__name__, _MODULE_OF)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES)
