@@ -27,7 +27,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import ROUND_HALF_UP, Decimal
+from decimal import ROUND_HALF_UP, ROUND_UP, Decimal
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
@@ -170,7 +170,10 @@ def cited_values(text: str, figures: dict[str, list[float]]) -> list[tuple[str, 
     for word in text.split():
         match = CITATION.fullmatch(word)
         if match is None or match["id"] not in figures:
-            raise LookupError(f"results.json has no figure '{word}'")
+            raise LookupError(
+                f"results.json has no figure '{word}': add its row to benchmarks/figures.toml, "
+                "then run python -m benchmarks.figures --write"
+            )
         start, stop = match["start"], match["stop"]
         first = int(start or 0)
         last = int(stop) if stop else first + 1 if start else None
@@ -193,7 +196,8 @@ def format_like(shown: str, sign: str, value: float) -> str:
     if "e" in plain or sign == "~":
         exponent = exact.adjusted()
         places = places - exponent if "e" in plain else -exponent
-    digits = exact.quantize(Decimal(1).scaleb(-places), ROUND_HALF_UP)
+    rounding = ROUND_UP if sign == "<" else ROUND_HALF_UP
+    digits = exact.quantize(Decimal(1).scaleb(-places), rounding)
     if "e" in plain:
         return f"{digits:.{len(mantissa.partition('.')[2])}e}".replace("e+", "e")
     return f"{digits:,f}".replace(",", " ") if " " in shown else f"{digits:f}"

@@ -59,6 +59,9 @@ class PlcDriverSettings:
         """Refuse a `motion` that is no bool, times that are not positive, an unknown suite."""
         if not isinstance(self.motion, bool):
             raise InvalidField("motion", repr(self.motion), "True or False")
+        if not isinstance(self.link_settings, Mapping):
+            allowed = 'settings of the link by name, such as {"port": 48901}'
+            raise InvalidField("link_settings", repr(self.link_settings), allowed)
         check_fields(self, positive=("period", "io_period"))
         for name in ("timeout", "lost_after"):
             if getattr(self, name) is not None:
