@@ -15,7 +15,7 @@ from carosac_toolkit.robot.parameter_names import unit_of
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParameterEstimate:
-    """k parameters; units are those of `carosac_toolkit.robot.parameters.unit_of`.
+    """k parameters; units are those of `carosac_toolkit.robot.parameter_names.unit_of`.
 
     Attributes:
         names: As in `carosac_toolkit.robot.parameters`.

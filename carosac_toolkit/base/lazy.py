@@ -28,6 +28,10 @@ def lazy_names(
             return import_module(f"{package}.{namespaces[name]}")
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{modules[name]}"), name)
+        module = f"{package}.{modules[name]}"
+        try:
+            return getattr(import_module(module), name)
+        except AttributeError as error:  # would read as if the package had no such name
+            raise ImportError(f"{module}: {error}") from error
 
     return import_name, lambda: sorted({*modules, *namespaces})

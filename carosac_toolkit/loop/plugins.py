@@ -74,6 +74,8 @@ def name_of(plugin: str | type[Any]) -> str:
     """
     if isinstance(plugin, str):
         return plugin
+    if not isinstance(plugin, type):
+        raise InvalidField("plug-in", repr(plugin), "a name, 'module:Class', or a class")
     qualname, module = plugin.__qualname__, plugin.__module__
     if module == "__main__":
         main = sys.modules["__main__"]
@@ -107,7 +109,7 @@ def check_package(package: str) -> None:
     try:
         if getattr(import_module(package), _PACKAGE_MARKER, False) is True:
             return
-    except ImportError as error:  # ours imports nothing
+    except ImportError as error:  # ours imports `carosac_toolkit.base` alone
         cause = error
     where = spec.origin or ", ".join(spec.submodule_search_locations or [])
     raise CarosacError(
@@ -175,13 +177,14 @@ def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
         if package in OUR_PACKAGES:
             check_package(package)
         target: Any = import_module(point.module)
+        for attribute in filter(None, (point.attr or "").split(".")):
+            if not hasattr(target, attribute):  # imports what a package hands on lazily
+                allowed = f"a name that {point.module} defines"
+                hint = did_you_mean(attribute, dir(target))
+                raise InvalidField(kind[:-1], repr(name), allowed + hint)
+            target = getattr(target, attribute)
     except ImportError as error:
         raise CarosacError(
             f"{kind[:-1]} '{name}': cannot import {point.module}: {error}"
         ) from error
-    for attribute in filter(None, (point.attr or "").split(".")):
-        if not hasattr(target, attribute):
-            hint = did_you_mean(attribute, dir(target))
-            raise InvalidField(kind[:-1], repr(name), f"a name that {point.module} defines{hint}")
-        target = getattr(target, attribute)
     return target

@@ -219,6 +219,14 @@ class Belief:
         _freeze(self, time=(b,), position=(b, 3), rotation=(b, 3, 3), twist=(b, 6))
         _freeze(self, covariance=(b, 12, 12), center_of_mass=(b, 3))
         check_rotations("rotation", self.rotation)
+        if not isinstance(self.innovations, Innovations | None):
+            got = type(self.innovations).__name__
+            raise InvalidField("innovations", got, "Innovations, or None")
+        converged = self.converged
+        if converged is not None and (np.shape(converged), np.asarray(converged).dtype) != (
+            (b,), np.dtype(bool),
+        ):  # fmt: skip
+            raise InvalidField("converged", repr(converged), f"booleans of shape ({b},), or None")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

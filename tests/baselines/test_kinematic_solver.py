@@ -80,7 +80,7 @@ def test_pose_and_tension_agree_with_the_independent_equilibrium(seed):
         near = Pose(position=position[None] + 0.02, rotation=np.eye(3)[None])
         m = measured(lengths, 0.1 * k, near)
         belief = estimator.reset(m) if belief is None else step(estimator, belief, m)
-        assert belief.memory.converged.all()
+        assert belief.converged.all()
         assert belief.position[0] == pytest.approx(known.position, abs=1e-8)
         assert belief.rotation[0] == pytest.approx(known.rotation, abs=1e-8)
         assert belief.tension[0] == pytest.approx(known.tension, abs=1e-4)
@@ -95,7 +95,7 @@ def test_batch_equals_loop():
     lengths = np.array([lengths_near(robot, POSITION + i * SHIFT) for i in range(4)])
     estimator = KinematicSolver.build(robot)
     together = estimator.reset(measured(lengths))
-    assert together.memory.converged.all()
+    assert together.converged.all()
     for i, row in enumerate(lengths):
         alone = estimator.reset(measured(row))
         assert alone.position[0] == pytest.approx(together.position[i], abs=1e-12)
@@ -141,7 +141,7 @@ def test_a_failed_solve_is_done_again_without_a_guess_and_counted(scripted):
     assert belief.position[0].tolist() == [3.0, 3.0, 3.0]
     assert belief.memory.restarts.tolist() == [1]
     assert belief.memory.failures.tolist() == [0]
-    assert belief.memory.converged.tolist() == [True]
+    assert belief.converged.tolist() == [True]
 
 
 def test_only_the_failed_rows_are_solved_again(scripted):
@@ -171,10 +171,10 @@ def test_without_a_solution_the_last_good_pose_stays_and_says_so(scripted, bad):
     assert belief.time[0] == pytest.approx(0.1)
     assert (belief.position == start.position).all()
     assert (belief.tension == start.tension).all()
-    assert belief.memory.converged.tolist() == [False]
+    assert belief.converged.tolist() == [False]
     assert belief.memory.failures.tolist() == [1]
     belief = step(estimator, belief, measured([9.0] * 4, 0.2))
-    assert belief.memory.converged.tolist() == [True]
+    assert belief.converged.tolist() == [True]
     assert belief.memory.failures.tolist() == [1]
     assert belief.memory.updates == 3
 
@@ -185,14 +185,14 @@ def test_a_first_failure_leaves_home_without_tensions_and_says_so(scripted):
     belief = KinematicSolver.build(robot).reset(measured([9.0] * 4))
     assert (belief.position[0] == robot.home_position).all()
     assert belief.tension is None
-    assert belief.memory.converged.tolist() == [False]
+    assert belief.converged.tolist() == [False]
     assert belief.memory.failures.tolist() == [1]
 
 
 def test_lengths_that_no_cable_survives_show_in_the_tensions():
     robot = simple_robot()
     belief = KinematicSolver.build(robot).reset(measured([4.0] * 4))  # corners are 13 m apart
-    if belief.memory.converged.all():  # elastic cables always have an equilibrium: here at 2e5 N
+    if belief.converged.all():  # elastic cables always have an equilibrium: here at 2e5 N
         assert (belief.tension > 100.0 * robot.tension_max).all()
     else:
         assert belief.memory.failures.tolist() == [1]

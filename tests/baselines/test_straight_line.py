@@ -43,7 +43,7 @@ def test_a_warm_start_stays_on_its_side_of_the_exit_points():
     lengths = inverse_kinematics(robot, [[0.4, -1.8, 14.0]])  # where no suspended robot can be
     estimator = StraightLine.build(robot)
     belief = estimator.reset(measured(lengths))
-    assert belief.memory.converged.all()
+    assert belief.converged.all()
     assert belief.position[0, 2] < 8.0
     assert belief.memory.residual[0] > 1e-3
 
@@ -56,12 +56,12 @@ def test_a_failed_fit_keeps_the_last_good_position_and_says_so():
     start = estimator.reset(measured(good))
     m = measured(bad, 0.1)
     belief = estimator.update(start, held(m), m)
-    assert belief.memory.converged.tolist() == [False, True]
+    assert belief.converged.tolist() == [False, True]
     assert belief.memory.failures.tolist() == [1, 0]
     assert belief.memory.residual[0] > 0.01
     assert belief.position == pytest.approx(start.position, abs=1e-12)
     belief = estimator.update(belief, held(m), measured(good, 0.2))
-    assert belief.memory.converged.all()
+    assert belief.converged.all()
     assert belief.memory.failures.tolist() == [1, 0]
     assert start.memory.failures.tolist() == [0, 0]  # beliefs are values: the old one is untouched
 
@@ -70,7 +70,7 @@ def test_a_first_failure_leaves_home_and_says_so():
     robot = simple_robot()
     estimator = StraightLine.build(robot, StraightLineSettings(residual_max=0.01))
     belief = estimator.reset(measured([9.0, 6.0, 9.0, 6.0]))
-    assert not belief.memory.converged.any()
+    assert not belief.converged.any()
     assert (belief.position[0] == robot.home_position).all()
 
 

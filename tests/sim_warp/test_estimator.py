@@ -89,7 +89,7 @@ def test_it_follows_a_swing_that_the_kinematic_solver_cannot_see(swinging):
     speed = np.array([t.twist[0, 0] for t in truths])
     believed = np.array([b.twist[0, 0] for b in beliefs])
     assert np.abs(believed - speed).max() < 0.05 * np.abs(speed).max()
-    assert all(b.memory.converged.all() for b in beliefs)
+    assert all(b.converged.all() for b in beliefs)
     pull, believed = (np.array([x.tension[0] for x in xs])[100:] for xs in (truths, beliefs))
     assert believed.mean(axis=0) == pytest.approx(pull.mean(axis=0), rel=0.01)
 
@@ -199,7 +199,7 @@ def test_lengths_without_a_rest_keep_the_last_good_pose_are_counted_and_left_beh
     rows = [[good, far], [good, far], [good, good], [good, good]]
     series = [measured(PERIOD * k, np.array(row)) for k, row in enumerate(rows)]
     beliefs = play(estimator(), series)
-    found = np.array([b.memory.converged for b in beliefs])
+    found = np.array([b.converged for b in beliefs])
     assert found.tolist() == [[True, False], [True, False], [True, False], [True, True]]
     assert beliefs[-1].memory.failures.tolist() == [0, 3]
     assert beliefs[-1].memory.restarts.tolist() == [0, 1]

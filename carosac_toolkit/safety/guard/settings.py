@@ -26,6 +26,7 @@ UNITS_OF_FIELDS = {
 }  # fmt: skip
 NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max")
 Point = tuple[float, float, float]
+SCENE_SETTINGS = ("set_down", "wind_force", "wind_time")  # of a study's case, for a simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +133,9 @@ class GuardSettings:
         for name in ("inner", "scene"):
             if not isinstance(getattr(self, name), Mapping):
                 raise InvalidField(name, repr(getattr(self, name)), "settings by name")
+        for name in self.scene:
+            if name not in SCENE_SETTINGS:
+                raise InvalidField(f"scene.{name}", "a name", f"one of {list(SCENE_SETTINGS)}")
 
     def slowed(self, robot: Robot) -> Robot:
         """Return the robot as commands must treat it: its winches no faster than `speed_max`."""

@@ -158,7 +158,7 @@ def test_a_lost_imu_is_missed_and_found_again(robot):
     found = swing(robot, "lengths+imu", SensorSettings(), **scene, lost=(1.0, 5.0))
     always, _ = believe(DynamicEstimator.build(robot, settings), whole)
     errors, beliefs = believe(DynamicEstimator.build(robot, settings), found)
-    dof = [belief.memory.innovations.dof[0] for belief in beliefs]
+    dof = [belief.innovations.dof[0] for belief in beliefs]
     assert dof[round(4.0 / PERIOD)] == 0 < dof[round(6.0 / PERIOD)]
     late = slice(round(7.5 / PERIOD), None)
     assert rms(errors[late]) < 1.5 * rms(always[late])
@@ -230,7 +230,7 @@ def test_innovations_beyond_the_gate_count_as_disturbed(robot):
     def disturbed(gate):
         settings = DynamicEstimatorSettings(gate=gate)
         _, beliefs = believe(DynamicEstimator.build(robot, settings), found)
-        return sum(belief.memory.innovations.rejected[0] for belief in beliefs)
+        return sum(belief.innovations.rejected[0] for belief in beliefs)
 
     assert disturbed(6.0) < 3 and disturbed(0.02) > 20
 
@@ -326,7 +326,7 @@ def test_poses_newer_than_the_lengths_wait_for_them(robot):
     fresh = replace(PERFECT_SENSORS, pose_delay=0.0, encoder_delay=0.01, encoder_bias=0.01)
     found = swing(robot, "lengths+pose", fresh, duration=3.0)
     errors, beliefs = believe(DynamicEstimator.build(robot), found)
-    assert sum(belief.memory.innovations.dof[0] for belief in beliefs) > 6 * 0.9 * len(found)
+    assert sum(belief.innovations.dof[0] for belief in beliefs) > 6 * 0.9 * len(found)
     assert rms(errors[50:]) < 3e-3
 
 
@@ -335,7 +335,7 @@ def test_late_poses_count_for_less_and_too_late_ones_not_at_all(robot):
         sensors = replace(PERFECT_SENSORS, pose_delay=delay)
         found = swing(robot, "lengths+pose", sensors, duration=3.0)
         errors, beliefs = believe(DynamicEstimator.build(robot), found)
-        return rms(errors[50:]), sum(b.memory.innovations.rejected[0] for b in beliefs)
+        return rms(errors[50:]), sum(b.innovations.rejected[0] for b in beliefs)
 
     error, rejected = late(0.06)
     assert error < 8e-3 and rejected == 0

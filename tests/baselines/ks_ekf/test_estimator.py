@@ -126,7 +126,7 @@ def test_lengths_that_lead_the_platform_wait_for_it(lead, cycles):
     assert all(belief.memory.state.time <= belief.time[0] + 1e-9 for belief in found)
     assert found[-1].memory.late == found[-1].memory.restarts == 0
     # The first counts at once, the others at the first measurement after their time, all in turn.
-    used = [belief.memory.innovations.dof[0] > 0 for belief in found]
+    used = [belief.innovations.dof[0] > 0 for belief in found]
     assert not any(used[: cycles + 1]) and all(used[cycles + 1 :])
     assert len(found[-1].memory.waiting) == cycles
 
@@ -348,7 +348,7 @@ def test_lengths_that_jump_farther_than_is_set_are_held_back(jump, rejected):
 def test_innovations_are_as_large_as_expected_and_counted():
     still = KsEkfSettings(tension_change=0.0)  # these cables have no motion of their own
     scene = swaying(1).until(STEPS // 2)
-    found = [belief.memory.innovations for belief in beliefs(scene, still)]
+    found = [belief.innovations for belief in beliefs(scene, still)]
     share = sum(i.squares[0] for i in found) / sum(i.dof[0] for i in found)
     assert 0.2 < share < 1.5
 
