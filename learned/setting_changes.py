@@ -11,10 +11,10 @@ from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.settings import filled
-from carosac_toolkit.loop.plugin_settings import OPTION, check_types, put_field, value_of
+from carosac_toolkit.loop.plugin_settings import SET_OPTION, check_types, put_field, value_of
 from learned.presets import Stage
 
-SET_OPTION, VARY_OPTION = OPTION, "--vary"
+VARY_OPTION = "--vary"
 STAGE_PARTS = ("td3", "environment")  # of a stage
 LABEL_LENGTH_MAX = 90  # characters of a label
 

@@ -11,7 +11,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit import conformance
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.loop import plugins as registry
+from carosac_toolkit.loop import plugins
 from carosac_toolkit.robot.robot import Robot
 from tests import broken_plugins as broken
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
@@ -25,7 +25,7 @@ ELSEWHERE = {"ads", "guarded"}  # tests/plc, tests/safety/guard: with a PLC; wit
 OURS = [
     pytest.param(kind, name, check, id=f"{kind}-{name}-{title}")
     for kind, checks in ALL.items()
-    for name in sorted(set(registry.names(kind)) - ELSEWHERE)
+    for name in sorted(set(plugins.names(kind)) - ELSEWHERE)
     for title, check in checks.items()
 ]
 CAUGHT = {
@@ -122,7 +122,7 @@ BROKEN = [
 
 @pytest.mark.parametrize(("kind", "name", "check"), OURS)
 def test_our_plug_in_keeps_its_contract(kind, name, check):
-    loaded = registry.load(kind, name)
+    loaded = plugins.load(kind, name)
     build = loaded.build
     if name == "td3":  # the policy that it takes by default needs an estimator with a twist
         build = partial(loaded.build, settings=loaded.Settings(policy="carosac-settle"))
@@ -134,14 +134,14 @@ def test_our_plug_in_keeps_its_contract(kind, name, check):
 @pytest.mark.parametrize("kind", ["controllers", "estimators", "drivers"])
 def test_our_plug_ins_keep_it_for_other_robots(kind, robot: Robot):
     # there is no recording of these robots, and no policy was trained for them
-    for name in set(registry.names(kind)) - {"replay", "td3"} - ELSEWHERE:
+    for name in set(plugins.names(kind)) - {"replay", "td3"} - ELSEWHERE:
         for check in ALL[kind].values():
-            check(registry.load(kind, name).build, robot)
+            check(plugins.load(kind, name).build, robot)
 
 
 def test_a_policy_refuses_a_robot_that_it_was_not_trained_for():
     with pytest.raises(InvalidField, match="a robot with a bundled policy"):
-        registry.load("controllers", "td3").build(eight_cable_robot())
+        plugins.load("controllers", "td3").build(eight_cable_robot())
 
 
 @pytest.mark.parametrize(("kind", "title", "plugin", "message"), BROKEN)

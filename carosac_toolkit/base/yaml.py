@@ -155,7 +155,7 @@ def _misindented(what: str, lines: list[str], number: int) -> str | None:
 
 
 def _content(line: str) -> bool:
-    """Whether a line holds more than a comment."""
+    """Return whether a line holds more than a comment."""
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 

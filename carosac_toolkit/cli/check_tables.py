@@ -76,7 +76,7 @@ def _payload_table(report: RobotReport) -> str:
 
 
 def _point_table(report: RobotReport) -> str:
-    """Where each cable begins and ends."""
+    """Tabulate where each cable begins and ends."""
     robot = report.robot
     header = ("cable", "exit point in W [m]", "anchor point in P [m]")
     ends = zip(robot.cable_names, robot.exit_points, robot.anchor_points, strict=True)

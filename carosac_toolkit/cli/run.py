@@ -32,7 +32,7 @@ from carosac_toolkit.cli.run_builder import (
 )
 from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
-from carosac_toolkit.live.hand_target import HELP
+from carosac_toolkit.live.hand_target import KEYS_HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.messages import say
 from carosac_toolkit.live.real_time import quick_threads, take_priority
@@ -133,7 +133,7 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
     how = "the winches move" if settings.motion else "dry run: nothing is sent; --enable moves"
     if settings.motion and not settings.enable_at_once:
         how = "dry run: nothing is sent, as enable_at_once is false"
-    what = HELP if options.by_hand else f"trajectory {options.trajectory}"
+    what = KEYS_HELP if options.by_hand else f"trajectory {options.trajectory}"
     if options.to is not None:
         what = f"straight to {place(np.array(options.to))}"
     if settings.motion and settings.speed_max is not None:

@@ -118,7 +118,7 @@ def wrong_cables_refused(factory: Factory, robot: Robot) -> None:
 
 
 def command_says_what_was_sent(factory: Factory, robot: Robot) -> None:
-    """What `command` returns is what the winches then follow, and changes are reported."""
+    """Require that `command` returns what the winches then follow, and reports changes."""
     driver = _connected(factory, robot)
     held = _hold(driver.measure())
     far = Command(time=held.time, unstrained_length=held.unstrained_length + 3.0)

@@ -15,7 +15,7 @@ from carosac_toolkit.live.messages import say
 from carosac_toolkit.safety.guard import GuardedDriver
 
 INTERRUPT_TIMEOUT_S = 3.0  # for a hanging controller, before the process ends
-SIGNALS = tuple(
+STOP_SIGNALS = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if hasattr(signal, name)
@@ -72,9 +72,9 @@ class Ending:
 
 @contextlib.contextmanager
 def ending_of(guard: GuardedDriver, last_words: Callable[[], object]) -> Iterator[Ending]:
-    """Stop a guarded run in good order at `SIGNALS`, and where its controller hangs."""
+    """Stop a guarded run in good order at `STOP_SIGNALS`, and where its controller hangs."""
     ending = Ending(guard, last_words)
-    before = {number: signal.signal(number, ending.heard) for number in SIGNALS}
+    before = {number: signal.signal(number, ending.heard) for number in STOP_SIGNALS}
     guard.on_hang = ending.hang
     try:
         yield ending

@@ -19,7 +19,9 @@ KEY_DIRECTIONS = {
     "\x1b[A": (0, 1, 0), "\x1b[B": (0, -1, 0), "\x1b[C": (1, 0, 0), "\x1b[D": (-1, 0, 0),
     "\x1b[5~": (0, 0, 1), "\x1b[6~": (0, 0, -1), "u": (0, 0, 1), "d": (0, 0, -1),
 }  # fmt: skip
-HELP = "arrows: x, y; u, d or page keys: z; space: stay here; x y z and Enter: go there; q: end"
+KEYS_HELP = (
+    "arrows: x, y; u, d or page keys: z; space: stay here; x y z and Enter: go there; q: end"
+)
 SPEED_CORRECTION_TIME_S = 0.15
 
 
@@ -147,5 +149,5 @@ def _place(word: str) -> Array:
     except ValueError:
         numbers = []
     if len(numbers) != 3 or not np.isfinite(numbers).all():
-        raise InvalidField("input", repr(word), HELP)
+        raise InvalidField("input", repr(word), KEYS_HELP)
     return np.array(numbers)

@@ -13,12 +13,12 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.robot.robot import Robot
 
-NOTHING: Mapping[str, Any] = MappingProxyType({})
+NO_SETTINGS: Mapping[str, Any] = MappingProxyType({})
 
 
 def build_plugin(
     plugin: Any, robot: Robot | Sequence[Robot], *, where: str,
-    asked: Mapping[str, Any] = NOTHING, offered: Mapping[str, Any] = NOTHING, seed: int = 0,
+    asked: Mapping[str, Any] = NO_SETTINGS, offered: Mapping[str, Any] = NO_SETTINGS, seed: int = 0,
     seeds: Sequence[int] | None = None,
 ) -> Any:  # fmt: skip
     """Build a plug-in with its own settings.
@@ -43,8 +43,8 @@ def build_plugin(
 
 
 def settings_of(
-    plugin: Any, *, where: str, asked: Mapping[str, Any] = NOTHING,
-    offered: Mapping[str, Any] = NOTHING,
+    plugin: Any, *, where: str, asked: Mapping[str, Any] = NO_SETTINGS,
+    offered: Mapping[str, Any] = NO_SETTINGS,
 ) -> Any:  # fmt: skip
     """Return the settings that a plug-in is built with, or None if it has no ``Settings``.
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField
 
-OPTION = "--set"
-FORMS = "controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or driver.FIELD=VALUE"
+SET_OPTION = "--set"
+SETTING_FORMS = "controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or driver.FIELD=VALUE"
 
 
 def chosen_settings(
@@ -40,25 +40,25 @@ def chosen_settings(
         path, equals, value = text.partition("=")
         kind, dot, rest = path.partition(".")
         if not equals or not dot or f"{kind}_settings" not in chosen:
-            raise InvalidField(OPTION, repr(text), FORMS)
+            raise InvalidField(SET_OPTION, repr(text), SETTING_FORMS)
         into, fields = chosen[f"{kind}_settings"], rest
         if kind != "driver":
             name = _name(text, kind, rest, controllers if kind == "controller" else estimators)
             into, fields = into.setdefault(name, {}), rest[len(name) + 1 :]
         names = fields.split(".")
         if not all(names):
-            raise InvalidField(OPTION, repr(text), FORMS)
-        put_field(text, into, names, value_of(OPTION, text, value))
+            raise InvalidField(SET_OPTION, repr(text), SETTING_FORMS)
+        put_field(text, into, names, value_of(SET_OPTION, text, value))
     return chosen
 
 
 def _name(text: str, kind: str, rest: str, names: Sequence[str]) -> str:
-    """The plug-in that is meant: the longest name that fits."""
-    found = [name for name in names if rest.startswith(f"{name}.")]
-    if not found:
+    """Return the plug-in named at the start of a setting: the longest name that fits."""
+    fitting = [name for name in names if rest.startswith(f"{name}.")]
+    if not fitting:
         allowed = f"{kind}.NAME.FIELD=VALUE with a NAME of {list(names)}"
-        raise InvalidField(OPTION, repr(text), allowed)
-    return max(found, key=len)
+        raise InvalidField(SET_OPTION, repr(text), allowed)
+    return max(fitting, key=len)
 
 
 def put_field(text: str, into: dict[str, Any], fields: Sequence[str], value: Any) -> None:
@@ -77,14 +77,14 @@ def put_field(text: str, into: dict[str, Any], fields: Sequence[str], value: Any
     for field in outer:
         into = into.setdefault(field, {})
         if not isinstance(into, dict):
-            raise InvalidField(OPTION, repr(text), "each field once")
+            raise InvalidField(SET_OPTION, repr(text), "each field once")
     if last in into:
-        raise InvalidField(OPTION, repr(text), "each field once")
+        raise InvalidField(SET_OPTION, repr(text), "each field once")
     into[last] = value
 
 
 def value_of(option: str, whole: str, text: str) -> Any:
-    """What stands behind the equals sign: JSON, or the text itself.
+    """Return the value behind the equals sign: JSON, or the text itself.
 
     Args:
         option: For messages.
@@ -133,14 +133,14 @@ def check_types(where: str, settings: Any, values: Mapping[str, Any]) -> None:
             raise InvalidField(field, repr(value), _kind(hint, usual))
 
 
-_SIMPLE = {bool: "true or false", int: "a whole number", float: "a number", str: "text",
+_SIMPLE_TYPES = {bool: "true or false", int: "a whole number", float: "a number", str: "text",
            NoneType: "null"}  # fmt: skip
 
 
 def _fits(value: Any, hint: Any, usual: Any) -> bool:
-    """Whether a value is of a kind; `usual` is the default, which tells the shape of arrays."""
+    """Return whether a value is of a kind; `usual` is the default, with the shape of arrays."""
     origin, parts = get_origin(hint), get_args(hint)
-    if hint in _SIMPLE:
+    if hint in _SIMPLE_TYPES:
         return _simple(value, hint)
     if origin in (Union, UnionType):
         return any(_fits(value, part, usual) for part in parts)
@@ -154,7 +154,7 @@ def _fits(value: Any, hint: Any, usual: Any) -> bool:
 
 
 def _simple(value: Any, hint: Any) -> bool:
-    """Whether a value is of one of the simple kinds; true is no number, and 2 is a float too."""
+    """Return whether a value is of a simple kind; true is no number, and 2 is a float too."""
     truth = isinstance(value, bool | np.bool_)
     if hint is float or hint is int:
         return not truth and isinstance(value, Real if hint is float else Integral)
@@ -162,7 +162,7 @@ def _simple(value: Any, hint: Any) -> bool:
 
 
 def _items_fit(items: list[Any], parts: tuple[Any, ...]) -> bool:
-    """Whether items are those of a tuple."""
+    """Return whether items fit the parts of a tuple."""
     if len(parts) == 2 and parts[1] is Ellipsis:
         return all(_fits(item, parts[0], None) for item in items)
     return len(items) == len(parts) and all(
@@ -175,7 +175,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _shape(value: Any) -> tuple[int, ...] | None:
-    """Of nested lists of numbers; None of anything else."""
+    """Return the shape of nested lists of numbers; None of anything else."""
     try:
         array = np.asarray(value)
     except ValueError:  # rows of several lengths
@@ -184,10 +184,10 @@ def _shape(value: Any) -> tuple[int, ...] | None:
 
 
 def _kind(hint: Any, usual: Any) -> str:
-    """What would have been accepted, in words."""
+    """Describe what would have been accepted."""
     origin, parts = get_origin(hint), get_args(hint)
-    if hint in _SIMPLE:
-        return _SIMPLE[hint]
+    if hint in _SIMPLE_TYPES:
+        return _SIMPLE_TYPES[hint]
     if origin in (Union, UnionType):
         return " or ".join(_kind(part, usual) for part in parts)
     if origin is Literal:

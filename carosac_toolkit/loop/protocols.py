@@ -192,7 +192,7 @@ class SupportsSetDown(Protocol):
 
     @property
     def sets_down(self) -> bool:
-        """Whether its fault is cleared and its robot set down when a guard connects to move it."""
+        """True if a guard that connects to move it clears its fault and sets its robot down."""
 
     def set_down(self, position: tuple[float, float, float]) -> None:
         """Put the robot at rest at a position in W [m]."""

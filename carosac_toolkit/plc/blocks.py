@@ -20,7 +20,7 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError
 
-LAYOUT = 2  # version of the layout; both sides refuse another one
+BLOCK_LAYOUT = 2  # version of the layout; both sides refuse another one
 FROM_HOST = "from_host"  # names of the blocks; over ADS the robot file names the first two symbols
 TO_HOST = "to_host"
 CONTROL = "Emulator.control"
@@ -140,7 +140,7 @@ class Block:
 def from_host(n: int) -> Block:
     """Return the block that the host writes, for n cables."""
     return Block("ST_FromHost", "written by the host once a cycle", (
-        Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
+        Field("layout", "UDINT", f"version of this layout, {BLOCK_LAYOUT}"),
         Field("cables", "UDINT", "number of cables"),
         Field("sequence", "UDINT", "heartbeat: one more at each write"),
         Field("session", "UDINT", "number that the host drew; the PLC obeys one"),
@@ -159,7 +159,7 @@ def from_host(n: int) -> Block:
 def to_host(n: int) -> Block:
     """Return the block that the host reads, for n cables."""
     return Block("ST_ToHost", "written by the PLC once a cycle", (
-        Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
+        Field("layout", "UDINT", f"version of this layout, {BLOCK_LAYOUT}"),
         Field("cables", "UDINT", "number of cables"),
         Field("sequence", "UDINT", "heartbeat: one more each PLC cycle"),
         Field("echo", "UDINT", "newest sequence seen from the session it obeys"),
@@ -188,7 +188,7 @@ def whole(block: Block, values: Mapping[str, Any], n: int) -> bool:
     Raises:
         WrongBlock: The data have another layout or number of cables.
     """
-    for name, allowed in (("layout", LAYOUT), ("cables", n)):
+    for name, allowed in (("layout", BLOCK_LAYOUT), ("cables", n)):
         if values[name] != allowed:
             raise WrongBlock(f"{block.name}.{name}: got {values[name]}; allowed: {allowed}")
     return bool(values["sequence"] == values["sequence_end"])
@@ -221,7 +221,7 @@ def control() -> Block:
     ))  # fmt: skip
 
 
-COUNTS = (
+COUNTER_FIELDS = (
     "cycles", "overruns", "commands", "lost", "not_finite", "over_length", "over_speed",
     "over_acceleration", "over_jerk", "jumps", "ignored", "foreign", "torn", "watchdog",
     "beyond_ends",
@@ -233,7 +233,7 @@ def diagnosis(n: int) -> Block:
     return Block("ST_Diagnosis", "counters of the PLC", (
         Field("control_done", "ULINT", "number of the newest request carried out"),
         Field("control_refused", "ULINT", "number of the newest request refused"),
-        *(Field(name, "ULINT", "count") for name in COUNTS),
+        *(Field(name, "ULINT", "count") for name in COUNTER_FIELDS),
         Field("lost_time", "LREAL", "time for which the PLC did not run [s]"),
         *(Field(f"worst_{x}", "LREAL", "largest share of the limit commanded")
           for x in ("speed", "acceleration", "jerk")),

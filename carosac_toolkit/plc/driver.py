@@ -103,12 +103,12 @@ class PlcDriver(
 
     @property
     def emulated(self) -> bool:
-        """Whether the PLC is an emulated one, which can set its robot down."""
+        """True if the PLC is an emulated one, which can set its robot down."""
         return self._connected().emulated
 
     @property
     def sets_down(self) -> bool:
-        """Whether the PLC is an emulated one, and `PlcDriverSettings.set_down` is set."""
+        """True if the PLC is an emulated one and `PlcDriverSettings.set_down` is set."""
         return self._settings.set_down and self.exchange is not None and self.exchange.emulated
 
     def set_down(self, position: Point) -> None:
@@ -314,7 +314,9 @@ class PlcDriver(
             if answer is not Answer.NONE:
                 exchange.quiet()
             if request is Request.HOLD and answer is not Answer.DONE:
-                raise CarosacError(f"{self.name}: the PLC does not hold {fault}: {_WHY[answer]}")
+                raise CarosacError(
+                    f"{self.name}: the PLC does not hold {fault}: {_REFUSALS[answer]}"
+                )
             if answer is Answer.NONE:
                 return
         self._refuse_other_host()
@@ -336,7 +338,7 @@ class PlcDriver(
         if answer is Answer.DONE:
             return
         raise CarosacError(
-            f"{self.name}: the PLC refused to {request.name.lower()}: {_WHY[answer]}; it is "
+            f"{self.name}: the PLC refused to {request.name.lower()}: {_REFUSALS[answer]}; it is "
             f"{self.status()}, and obeys session {self._reading().values['owner']}"
         )
 
@@ -360,7 +362,7 @@ class PlcDriver(
         exchange.wait_for_data(end, reader.ANSWER_TIMEOUT_S)
 
 
-_WHY = {
+_REFUSALS = {
     Answer.NONE: "no answer",
     Answer.NOT_OWNER: "it obeys another host",
     Answer.WRONG_STATE: "not in this state",

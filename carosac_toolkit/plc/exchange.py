@@ -72,7 +72,7 @@ class PlcExchange:
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
-            "layout": blocks.LAYOUT, "cables": n, "session": self.session, "follow": 0,
+            "layout": blocks.BLOCK_LAYOUT, "cables": n, "session": self.session, "follow": 0,
             "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
             "period": 0.0, "length": 0.0, "rate": 0.0, "fault": 0,
         }  # fmt: skip

@@ -14,7 +14,7 @@ Point = tuple[float, float, float]
 
 SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
 EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
-_SUITES = ("lengths", "lengths+imu")
+_SENSOR_SUITES = ("lengths", "lengths+imu")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +66,8 @@ class PlcDriverSettings:
         for name in ("timeout", "lost_after"):
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name), "s")
-        if self.suite not in _SUITES:
-            allowed = f"one of {list(_SUITES)}; the PLC measures no poses"
+        if self.suite not in _SENSOR_SUITES:
+            allowed = f"one of {list(_SENSOR_SUITES)}; the PLC measures no poses"
             raise InvalidField("suite", repr(self.suite), allowed)
 
     @property

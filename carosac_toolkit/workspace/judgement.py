@@ -15,7 +15,7 @@ from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.frame import beyond_frame, too_flat, without_cable
 from carosac_toolkit.workspace.limits import Limit, tension_limit
-from carosac_toolkit.workspace.second_search import second_opinion
+from carosac_toolkit.workspace.second_search import second_search
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 WEIGHTLESS_DENSITY_RATIO = 1e-9  # of its own density: a cable that heavy is straight to rounding
@@ -153,7 +153,7 @@ def _hold(
         turn = np.where(hopeless[:, None, None], robot.home_rotation, turn)
     held = hold(robot, where, turn, lines=lines)
     if robot.n < 6:
-        held = second_opinion(robot, held, ~hopeless)
+        held = second_search(robot, held, ~hopeless)
     shown = robot.home_rotation if rotation is None else rotation
     rest = replace(
         held.rest,

@@ -16,7 +16,7 @@ NEAR_MARGIN_RATIO = (
 )
 
 
-def second_opinion(robot: Robot, found: WidestRest, asked: NDArray[np.bool_]) -> WidestRest:
+def second_search(robot: Robot, found: WidestRest, asked: NDArray[np.bool_]) -> WidestRest:
     """Ask `statics.inverse_kinematics`, which searches in another way, for a free rotation.
 
     Args:

@@ -10,7 +10,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.blocks import FROM_HOST, LAYOUT, Injection, Request, from_host
+from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, FROM_HOST, Injection, Request, from_host
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM
 from carosac_toolkit.safety.limiter import Limiter
@@ -204,7 +204,8 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
 
 def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
     name, block = plc.robot.hardware.ads.from_host, from_host(4)
-    other = {"layout": LAYOUT, "cables": 4, "session": driver.exchange.session ^ 1, "follow": 1,
+    session = driver.exchange.session ^ 1
+    other = {"layout": BLOCK_LAYOUT, "cables": 4, "session": session, "follow": 1,
              "request": int(Request.STOP), "length": [9e3] * 4, "period": 0.01}  # fmt: skip
     with plc.client() as client:
         before = client.diagnosis()["foreign"]

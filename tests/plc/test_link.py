@@ -91,7 +91,7 @@ def test_bytes_pass_unchanged_both_ways(link, emulator):
     assert emulator.symbols.read(emulator.symbol_names[blocks.FROM_HOST]) == data
     assert link.read(blocks.FROM_HOST, block.size) == data
     values = blocks.to_host(ROBOT.n).unpack(link.read(blocks.TO_HOST, blocks.to_host(ROBOT.n).size))
-    assert values["layout"] == blocks.LAYOUT and values["boot"] == emulator.machine.boot
+    assert values["layout"] == blocks.BLOCK_LAYOUT and values["boot"] == emulator.machine.boot
 
 
 def test_what_the_plc_refuses_is_a_link_error(link):

@@ -18,13 +18,13 @@ from carosac_toolkit.plc.emulator.symbols import WRONG_SIZE, Refused, Symbols
 from carosac_toolkit.robot.hardware import ADS_TCP_PORT
 
 REQUEST_BYTES_MAX = 1 << 16  # longer requests are no ADS
-HEADER = struct.Struct("<6sH6sHHHIII")  # of an AMS packet
+AMS_HEADER = struct.Struct("<6sH6sHHHIII")  # of an AMS packet
 THREAD_END_TIMEOUT_S = 2.0
 
 _INFO, READ, WRITE, _STATE, READ_WRITE = 1, 2, 3, 4, 9
 HANDLE_BY_NAME, VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
 _UNSUPPORTED, _WRONG_GROUP = 0x701, 0x702
-_RUN = 5  # ADS state of a running PLC
+_STATE_RUN = 5  # ADS state of a running PLC
 
 
 class AmsServer:
@@ -103,7 +103,7 @@ class AmsServer:
             while self._running:
                 head = receive_exactly(connection, 6)
                 size = int.from_bytes(head[2:], "little")
-                if not HEADER.size <= size <= REQUEST_BYTES_MAX:
+                if not AMS_HEADER.size <= size <= REQUEST_BYTES_MAX:
                     return
                 packet = receive_exactly(connection, size)
                 if self.delay or self.jitter:
@@ -120,8 +120,9 @@ class AmsServer:
 
     def _answer(self, packet: bytes) -> bytes:
         """Return the answer to one request, with its header."""
-        target, port, source, source_port, command, flags, _, _, number = HEADER.unpack_from(packet)
-        body = packet[HEADER.size :]
+        header = AMS_HEADER.unpack_from(packet)
+        target, port, source, source_port, command, flags, _, _, number = header
+        body = packet[AMS_HEADER.size :]
         try:
             data = struct.pack("<I", 0) + self._do(command, body)
         except Refused as refused:
@@ -129,7 +130,7 @@ class AmsServer:
             data += bytes(4) if command in (READ, READ_WRITE) else b""
         except struct.error:
             data = struct.pack("<I", WRONG_SIZE)
-        return HEADER.pack(
+        return AMS_HEADER.pack(
             source, source_port, target, port, command, flags | 1, len(data), 0, number
         ) + data  # fmt: skip
 
@@ -138,7 +139,7 @@ class AmsServer:
         if command == _INFO:
             return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
         if command == _STATE:
-            return struct.pack("<HH", _RUN, 0)
+            return struct.pack("<HH", _STATE_RUN, 0)
         if command not in (READ, WRITE, READ_WRITE):
             raise Refused(_UNSUPPORTED)
         group, offset, size = struct.unpack_from("<III", body)

@@ -10,8 +10,8 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc import blocks
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.ams_server import (
+    AMS_HEADER,
     HANDLE_BY_NAME,
-    HEADER,
     READ,
     READ_WRITE,
     VALUE_BY_HANDLE,
@@ -98,12 +98,12 @@ class PlcClient:
         """Send one request; return its answer without the return code."""
         self._number += 1
         net = bytes((127, 0, 0, 1, 1, 1))
-        head = HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)
+        head = AMS_HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)
         packet = head + body
         try:
             self._socket.sendall(b"\0\0" + struct.pack("<I", len(packet)) + packet)
             size = struct.unpack("<I", receive_exactly(self._socket, 6)[2:])[0]
-            answer = receive_exactly(self._socket, size)[HEADER.size :]
+            answer = receive_exactly(self._socket, size)[AMS_HEADER.size :]
         except OSError as error:
             raise CarosacError(f"PLC: {error.strerror or error}") from error
         code = struct.unpack_from("<I", answer)[0]

@@ -176,7 +176,7 @@ class Emulator:
     def diagnosis(self) -> dict[str, Any]:
         """Return the counters of the PLC, as in `blocks.diagnosis`."""
         counters, winches = self.machine.counters, self.machine.winches
-        counts = {name: getattr(counters, name, 0) for name in blocks.COUNTS}
+        counts = {name: getattr(counters, name, 0) for name in blocks.COUNTER_FIELDS}
         return counts | {
             "cycles": self._cycles, "overruns": self.overruns, "lost_time": self.lost_time,
             "control_done": self._control, "control_refused": self._refused,

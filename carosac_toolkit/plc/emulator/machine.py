@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of
-from carosac_toolkit.plc.blocks import LAYOUT, Answer, DriveStatus, Request
+from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, Answer, DriveStatus, Request
 from carosac_toolkit.plc.emulator.command_checks import CommandChecks, Counters
 from carosac_toolkit.plc.emulator.playback import Playback
 from carosac_toolkit.plc.emulator.winches import Winches, WinchLimits
@@ -146,7 +146,7 @@ class Machine:
             return self._frozen | heartbeat
         tension = inputs.tension
         values = heartbeat | {
-            "layout": LAYOUT, "cables": len(inputs.length), "echo": self._host.sequence,
+            "layout": BLOCK_LAYOUT, "cables": len(inputs.length), "echo": self._host.sequence,
             "owner": self.owner, "state": self.state.number, "fault": self.fault.number,
             "fault_axis": self.fault_axis, "answered": self._answer[0], "answer": self._answer[1],
             "command_echo": self._host.command or 0, "has_tension": tension is not None,

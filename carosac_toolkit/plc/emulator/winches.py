@@ -63,7 +63,7 @@ class Winches:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no set position moves."""
+        """True if no set position moves."""
         return not self.speed.any()
 
     def place(self, position: Array) -> None:
@@ -75,7 +75,7 @@ class Winches:
 
     @property
     def beyond_ends(self) -> bool:
-        """Whether a set position lies beyond a soft end and moves further out."""
+        """Return whether a set position lies beyond a soft end and moves further out."""
         limits = self._limits
         slack = END_TOLERANCE * (limits.length_max - limits.length_min)
         above = (self.position > limits.length_max + slack) & (self.speed > 0.0)

@@ -24,7 +24,7 @@ from carosac_toolkit.safety.guard.lifecycle import NotReady
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
-START = "start_position"  # of a simulated robot; a real one starts where it is
+START_SETTING = "start_position"  # of a simulated robot; a real one starts where it is
 STATES_OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)
 
 
@@ -49,7 +49,7 @@ def build_inner(
     offered = {name: getattr(settings, name) for name in SHARED_SETTINGS} | dict(settings.scene)
     if "real_time" in setting_names(plugin):
         real_time = bool(settings.real_time)
-        offered |= {"real_time": real_time, START: settings.start_position}
+        offered |= {"real_time": real_time, START_SETTING: settings.start_position}
     inner: Driver = build_plugin(
         plugin, robot, where="inner", asked=settings.inner, offered=offered, seed=seed
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 
-ALLOWED: dict[str, tuple[DriveState, ...]] = {
+ALLOWED_TRANSITIONS: dict[str, tuple[DriveState, ...]] = {
     "connect": (DriveState.DISCONNECTED,),
     "home": (DriveState.CONNECTED, DriveState.HOMED),
     "enable": (DriveState.HOMED,),
@@ -28,9 +28,9 @@ class IllegalTransition(CarosacError):
     """
 
     def __init__(self, state: DriveState, asked: str, why: str = "") -> None:
-        places = " or ".join(ALLOWED[asked])
+        places = " or ".join(ALLOWED_TRANSITIONS[asked])
         super().__init__(f"{asked}: the drive system is {state}{why}; allowed: when {places}")
-        self.state, self.asked, self.allowed = state, asked, ALLOWED[asked]
+        self.state, self.asked, self.allowed = state, asked, ALLOWED_TRANSITIONS[asked]
 
 
 class NotReady(CarosacError):
@@ -92,7 +92,7 @@ class Lifecycle:
         Raises:
             IllegalTransition: The state does not allow it.
         """
-        if self.state not in ALLOWED[step]:
+        if self.state not in ALLOWED_TRANSITIONS[step]:
             why = f" ({self.fault.fault})" if self.fault is not None else ""
             raise IllegalTransition(self.state, step, why)
 

@@ -145,11 +145,11 @@ class ReferenceSuite:
 
 
 def suites() -> list[str]:
-    """Names of all suites, oldest first."""
+    """Return the names of all suites, oldest first."""
     names = (item.name for item in files("carosac_toolkit.studies.reference").iterdir())
     return sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml"))
 
 
 def _file(name: str) -> Path:
-    """Where the definition of a suite is."""
+    """Return the path of a suite's definition."""
     return Path(str(files("carosac_toolkit.studies.reference") / f"{name}.yaml"))

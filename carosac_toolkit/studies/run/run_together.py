@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.loop import plugins as registry
+from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
@@ -43,13 +43,13 @@ def group_of(case: Case) -> str | None:
     The driver has to have `build_batch`, controller and estimator have to be `batched`.
     """
     settings = known_settings(case.settings)
-    driver = registry.load("drivers", str(settings.get("driver", DEFAULT_DRIVER)))
-    plugins = [registry.load("controllers", plugin_name(case.controller))]
+    driver = plugins.load("drivers", str(settings.get("driver", DEFAULT_DRIVER)))
+    parts = [plugins.load("controllers", plugin_name(case.controller))]
     if case.estimator != "truth":
-        plugins.append(registry.load("estimators", plugin_name(case.estimator)))
+        parts.append(plugins.load("estimators", plugin_name(case.estimator)))
     if replays(driver) or not hasattr(driver, "build_batch"):
         return None
-    if not all(getattr(plugin, "batched", False) for plugin in plugins):
+    if not all(getattr(part, "batched", False) for part in parts):
         return None
     return canonical(case.to_dict() | {"seed": None})
 

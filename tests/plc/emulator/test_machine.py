@@ -5,7 +5,7 @@ import pytest
 
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
-from carosac_toolkit.plc.blocks import LAYOUT, Answer, Request
+from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, Answer, Request
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
 from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM, Winches, WinchLimits
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
@@ -31,7 +31,7 @@ class Rig:
         self.offset = np.zeros(4)  # what the encoders say too much
         self.machine.reference = np.zeros(4)
         self.host = {
-            "layout": LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
+            "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
             "request_number": 0, "follow": 0, "command": 0, "period": PERIOD, "length": START,
             "rate": np.zeros(4), "sequence_end": 0,
         }  # fmt: skip
