@@ -81,8 +81,9 @@ def name_of(plugin: str | type[Any]) -> str:
         main = sys.modules["__main__"]
         spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
         module = spec.name if spec is not None else Path(file).stem if file else ""
-    if "<locals>" in qualname or not module:
-        allowed = "a class at the top of a module: workers import it by name"
+    importable = all(part.isidentifier() for part in module.split("."))  # not so "<stdin>"
+    if "<locals>" in qualname or not importable:
+        allowed = "a class at the top of a module, in a file: workers import it by name"
         raise InvalidField("plug-in", qualname, allowed)
     return f"{module}:{qualname}"
 

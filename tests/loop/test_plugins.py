@@ -144,3 +144,6 @@ def test_a_class_that_no_other_process_could_import_is_refused():
 
     with pytest.raises(InvalidField, match="Inside; allowed: a class at the top of a module"):
         plugins.name_of(Inside)
+    typed = type("Typed", (), {"__module__": "<stdin>"})
+    with pytest.raises(InvalidField, match="Typed; allowed: a class at the top of a module"):
+        plugins.name_of(typed)
