@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.ks_ekf.cable_swing import CableStrings, CableSwing
-from baselines.ks_ekf.filter_state import KsEkfState, cross
+from baselines.ks_ekf.filter_state import KsEkfState
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -142,8 +143,8 @@ def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: KsEkfSett
     spin = rate - state.rate_bias
     center = robot.center_of_mass + state.center
     arm = center - settings.imu_position
-    around = cross(spin)
-    at_center = force - state.force_bias + cross(turning) @ arm + around @ around @ arm
+    around = cross_matrix(spin)
+    at_center = force - state.force_bias + cross_matrix(turning) @ arm + around @ around @ arm
     push = robot.mass * at_center
-    moment = robot.inertia @ turning + around @ robot.inertia @ spin + cross(center) @ push
+    moment = robot.inertia @ turning + around @ robot.inertia @ spin + cross_matrix(center) @ push
     return np.concatenate([state.rotation @ push, state.rotation @ moment])

@@ -16,7 +16,6 @@ from baselines.ks_ekf.filter_state import (
     ROTATION_ERRORS,
     VELOCITY_ERRORS,
     KsEkfState,
-    cross,
 )
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.rest_detection import RestMeans
@@ -27,6 +26,7 @@ from baselines.ks_ekf.rest_pose import (
 )
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.robot.robot import Robot
 
 SWAY_POSITION_ERROR_M = 0.02  # of the mean pose beside the sway, in large motion
@@ -109,7 +109,7 @@ def of_stillness(
     down = np.array([0.0, 0.0, -gravity])
     jacobian = np.zeros((9, len(state.covariance)))
     jacobian[:3, RATE_BIAS_ERRORS] = np.eye(3)
-    jacobian[3:6, ROTATION_ERRORS] = -state.rotation.T @ cross(down)
+    jacobian[3:6, ROTATION_ERRORS] = -state.rotation.T @ cross_matrix(down)
     jacobian[3:6, FORCE_BIAS_ERRORS] = np.eye(3)
     jacobian[6:, VELOCITY_ERRORS] = np.eye(3)
     residual = np.concatenate(

@@ -141,9 +141,3 @@ class KsEkfState:
             np.where(which, SLIP_DEVIATION_M**2, 0.0)
         )
         return replace(self, covariance=covariance)
-
-
-def cross(vector: Array) -> Array:
-    """Return the matrix [a]x of a x b, shape (3, 3)."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

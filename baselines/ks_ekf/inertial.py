@@ -28,11 +28,11 @@ from baselines.ks_ekf.filter_state import (
     VELOCITY_ERRORS,
     InertialSamples,
     KsEkfState,
-    cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.loop.values import Measurement
 
 MINUTE_S = 60.0
@@ -129,7 +129,7 @@ class InertialMotion:
     ) -> Array:
         """Return the Jacobian of a step, shape (size, size)."""
         matrix = np.eye(size)
-        lean = -h * cross(force)
+        lean = -h * cross_matrix(force)
         middle = -0.5 * h * (before + after)
         matrix[POSITION_ERRORS, VELOCITY_ERRORS] = h * np.eye(3)
         matrix[POSITION_ERRORS, ROTATION_ERRORS] = 0.5 * h * lean

@@ -13,10 +13,10 @@ from baselines.ks_ekf.filter_state import (
     ROTATION_ERRORS,
     VELOCITY_ERRORS,
     KsEkfState,
-    cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 
 
 def origin(state: KsEkfState, lever: Array) -> Array:
@@ -28,7 +28,7 @@ def pose_map(state: KsEkfState, lever: Array) -> Array:
     """Return the pose error [dp; dtheta] per error of the state, shape (6, 18 + n)."""
     matrix = np.zeros((6, len(state.covariance)))
     matrix[:, POSE_ERRORS] = np.eye(6)
-    matrix[:3, ROTATION_ERRORS] = cross(state.rotation @ lever)
+    matrix[:3, ROTATION_ERRORS] = cross_matrix(state.rotation @ lever)
     return matrix
 
 
@@ -47,15 +47,15 @@ def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
     twist = np.concatenate([state.velocity - np.cross(rate, arm), rate])
     matrix = np.zeros((12, len(state.covariance)))
     matrix[:6] = pose_map(state, settings.imu_position)
-    matrix[9:, ROTATION_ERRORS] = -cross(rate)
+    matrix[9:, ROTATION_ERRORS] = -cross_matrix(rate)
     matrix[9:, RATE_BIAS_ERRORS] = -state.rotation
-    matrix[6:9] = cross(arm) @ matrix[9:]
+    matrix[6:9] = cross_matrix(arm) @ matrix[9:]
     matrix[6:9, VELOCITY_ERRORS] += np.eye(3)
-    matrix[6:9, ROTATION_ERRORS] += cross(rate) @ cross(arm)
+    matrix[6:9, ROTATION_ERRORS] += cross_matrix(rate) @ cross_matrix(arm)
     held = max(state.time - float(state.samples.time[-1]), 0.0)
     noise = np.zeros((12, 3))
     noise[9:] = np.hypot(settings.angular_rate_noise, held * settings.rate_change) * np.eye(3)
-    noise[6:9] = cross(arm) @ noise[9:]
+    noise[6:9] = cross_matrix(arm) @ noise[9:]
     covariance = matrix @ state.covariance @ matrix.T + noise @ noise.T
     return twist, 0.5 * (covariance + covariance.T)
 
@@ -72,8 +72,8 @@ def moved_to_imu(state: KsEkfState, rate: Array, lever: Array) -> KsEkfState:
     """Move a state from the platform's origin to the IMU, turning at `rate` in W [rad/s]."""
     arm = state.rotation @ lever
     matrix = np.eye(len(state.covariance))
-    matrix[POSITION_ERRORS, ROTATION_ERRORS] = -cross(arm)
-    matrix[VELOCITY_ERRORS, ROTATION_ERRORS] = -cross(rate) @ cross(arm)
+    matrix[POSITION_ERRORS, ROTATION_ERRORS] = -cross_matrix(arm)
+    matrix[VELOCITY_ERRORS, ROTATION_ERRORS] = -cross_matrix(rate) @ cross_matrix(arm)
     return replace(
         state,
         position=state.position + arm,

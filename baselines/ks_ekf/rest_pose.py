@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.ks_ekf.filter_state import cross
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
@@ -84,7 +84,7 @@ def _with_derivatives(robot: Robot, rests: Equilibrium, center: Array) -> RestPo
     turns = [pinocchio.log3(other @ rotation.T) for other in rests.rotation[1:]]
     softness = np.linalg.inv(rests.stiffness[0])
     # (R dc) x (0, 0, -mg), per dc
-    moment = robot.weight * cross(np.array([0.0, 0.0, 1.0])) @ rotation
+    moment = robot.weight * cross_matrix(np.array([0.0, 0.0, 1.0])) @ rotation
     per_center = softness[:, 3:] @ moment
     lean = per_center @ center
     at = rests.unstrained_length[:1]

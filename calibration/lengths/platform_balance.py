@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.physics.cable.straight_line import StraightCables
 from carosac_toolkit.robot.robot import Robot
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.tachymeter.observations import polar
-from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 
 STATION_SIZE = 6  # position, heading, tilt about x, tilt about y
 _AXIS_DISTANCE_MIN_M = 1e-9  # [m] from the vertical axis, where Hz has no derivative

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from calibration.tachymeter.model import STATION_SIZE, difference, predict
 from calibration.tachymeter.observations import ReferencePoint, Shot, Survey
 from calibration.tachymeter.sightings import SightedPoint, SightedPulley, sighted_point
-from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import cross_matrix
 
 Blocks = dict[int, Array]  # Jacobian blocks by key
 _UNKNOWN_SIZES = {

@@ -1,4 +1,4 @@
-"""Unit quaternions, order w x y z, as arrays of shape (B, 4)."""
+"""Unit quaternions, order w x y z, as arrays of shape (B, 4); matrices of cross products."""
 
 from __future__ import annotations
 
@@ -62,3 +62,12 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
     weight_start = rest * np.sinc(rest * angle / np.pi) / ratio
     mixed = weight_start[:, None] * start + weight_end[:, None] * end
     return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+
+
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrices of the cross product with vectors (..., 3), shape (..., 3, 3)."""
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
+    return matrix
