@@ -229,6 +229,6 @@ def _checksum(tree: str, arrays: Arrays) -> int:
     checksum = zlib.crc32(tree.encode())
     for name in sorted(arrays):
         checksum = zlib.crc32(
-            np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8), checksum
+            np.ascontiguousarray(arrays[name]).reshape(-1).view(np.uint8).data, checksum
         )
     return checksum

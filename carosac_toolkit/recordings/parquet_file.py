@@ -44,7 +44,7 @@ def read_parquet(path: Path) -> Recording:
 
     try:
         stored = pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name is not UTF-8
         fault = f"this is no whole Parquet file: {str(error).splitlines()[0]}"
         raise InvalidFile(path, [fault]) from error
     faults = [
