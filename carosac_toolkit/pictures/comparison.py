@@ -118,11 +118,11 @@ def draw_paths(results: StudyResults) -> Figure:
     examples = _same_example(results, PATH_PLOT_TRAJECTORIES)
     paths: dict[str, Path] = {}
     for label, (example, color) in examples.items():
-        styles = [{"color": color, "lw": width} for width in (1.5, 1.2)]
-        paths[label] = (example.position, *styles)
+        paths[label] = (example.position, {"color": color, "lw": 1.5}, {"color": color, "lw": 1.2})
     if examples:
-        styles = [{"color": MEASURED_COLOR, "ls": "--", "lw": width} for width in (1.1, 0.9)]
-        paths["reference"] = (next(iter(examples.values()))[0].reference, *styles)
+        dashed = {"color": MEASURED_COLOR, "ls": "--"}
+        reference = next(iter(examples.values()))[0].reference
+        paths["reference"] = (reference, {"lw": 1.1, **dashed}, {"lw": 0.9, **dashed})
     draw_in_space(figure, paths, STANDARD_VIEWS)
     figure.suptitle(f"Path of the platform origin{_title_of(examples)}")
     return figure
