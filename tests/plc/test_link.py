@@ -91,6 +91,8 @@ def test_bytes_pass_unchanged_both_ways(link, emulator):
     data = block.pack({"layout": 99, "length": [1.0, -2.0, 1e-9, np.pi]})  # nobody obeys layout 99
     link.write(blocks.FROM_HOST, data)
     assert emulator.symbols.read(emulator.symbol_names[blocks.FROM_HOST]) == data
+    constants = emulator.symbols.read(emulator.symbol_names[blocks.MACHINE])
+    assert link.read(blocks.MACHINE, blocks.machine(ROBOT.n).size) == constants
     values = blocks.to_host(ROBOT.n).unpack(link.read(blocks.TO_HOST, blocks.to_host(ROBOT.n).size))
     assert values["layout"] == blocks.BLOCK_LAYOUT and values["boot"] == emulator.machine.boot
 
