@@ -371,13 +371,11 @@ class PlcExchange:
             self._link.connect(writing=self._writing)
             plc = identity.read_machine(self._link, self._n)
             self.refusal = identity.refusal(plc, self._machine)
+            if self.refusal is not None:
+                raise LinkError(self.refusal)
         except (LinkError, blocks.WrongBlock) as error:
             self._disconnect()
             self._failed(str(error))
-            return False
-        if self.refusal is not None:
-            self._disconnect()
-            self._failed(self.refusal)
             with self._answered:
                 self._answered.notify_all()
             return False

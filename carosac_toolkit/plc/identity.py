@@ -133,7 +133,7 @@ def _literal(field: blocks.Field, value: Any) -> str:
         return f"[{', '.join(_literal(replace(field, count=0), x) for x in value)}]"
     if field.kind == "LREAL":
         rounded = float(f"{value:.{SIGNIFICANT_DIGITS}g}")
-        return np.format_float_positional(rounded, trim="0")
+        return str(np.format_float_positional(rounded, trim="0"))
     if field.kind.startswith("STRING"):
-        return "'" + value.decode().replace("$", "$$").replace("'", "$'") + "'"
+        return "'" + str(value.decode()).replace("$", "$$").replace("'", "$'") + "'"
     return hash_text(value) if field.name == "hash" else str(value)

@@ -2,7 +2,8 @@
 
 Two files of one machine have the same hash whatever their comments, order of keys, units and
 network addresses; any number that changes what a command does changes it. A field that a later
-version adds to `Robot` counts by itself, but only in files that give it.
+version adds to `Robot` counts by itself, but only where it is not 0, so that hashes stay the same
+for robots without the new effect.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def machine_text(robot: Robot) -> str:
     for name in _NOT_OF_THE_MACHINE:
         del values[name]
     values |= {"hardware.sign": hardware.sign, "hardware.scale": hardware.scale}
-    known = {name: _rounded(value) for name, value in values.items() if value is not None}
+    known = {k: _rounded(v) for k, v in values.items() if isinstance(v, tuple) or np.any(v)}
     return json.dumps(known, sort_keys=True)
 
 
