@@ -204,9 +204,10 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
 
 def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
     name, block = plc.robot.hardware.ads.from_host, from_host(4)
-    session = driver.exchange.session ^ 1
-    other = {"layout": BLOCK_LAYOUT, "cables": 4, "session": session, "follow": 1,
-             "request": int(Request.STOP), "length": [9e3] * 4, "period": 0.01}  # fmt: skip
+    number = driver.exchange.number  # anybody reads it: it must not help
+    other = {"layout": BLOCK_LAYOUT, "cables": 4, "session": number, "host_number": number,
+             "follow": 1, "request": int(Request.STOP), "length": [9e3] * 4,
+             "period": 0.01}  # fmt: skip
     with plc.client() as client:
         before = client.diagnosis()["foreign"]
         for k in range(1, 30):
@@ -216,7 +217,7 @@ def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
         after = client.diagnosis()
     assert after["foreign"] > before
     assert driver.state is DriveState.ENABLED
-    assert driver.exchange.reading.values["owner"] == driver.exchange.session
+    assert driver.exchange.reading.values["owner"] == driver.exchange.number
     assert not after["set_speed"].any()
 
 

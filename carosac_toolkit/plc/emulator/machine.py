@@ -58,6 +58,7 @@ class _Host:
     """Session that the PLC obeys."""
 
     session: int = 0
+    number: int = 0  # public; the session is secret
     sequence: int = 0
     silent: float = 0.0
     command: int | None = None
@@ -81,14 +82,16 @@ class Machine:
     """
 
     def __init__(
-        self, limits: WinchLimits, *, cycle: float, watchdog: float, encoder_check: bool = True
-    ) -> None:
+        self, limits: WinchLimits, *, cycle: float, watchdog: float, identity: int,
+        encoder_check: bool = True,
+    ) -> None:  # fmt: skip
         """Start with the drives off, obeying nobody.
 
         Args:
             limits: Limits of the winches.
             cycle: Period of the PLC [s].
             watchdog: Silence of the host after which the winches ramp to rest [s].
+            identity: Hash of the robot; a host that has another one is not enabled.
             encoder_check: Whether a position that jumps is a fault.
         """
         n = len(limits.speed)
@@ -100,7 +103,7 @@ class Machine:
         self.reference = np.zeros(n)
         self._checks = CommandChecks(limits, self.counters)
         self._limits, self._cycle, self._watchdog = limits, cycle, watchdog
-        self._encoder_check = encoder_check
+        self._encoder_check, self._identity = encoder_check, identity
         self._host = _Host()
         self._foreign = (0, 0)
         self._answer = (0, Answer.NONE)
@@ -118,8 +121,8 @@ class Machine:
 
     @property
     def owner(self) -> int:
-        """Session that the PLC obeys; 0: nobody."""
-        return self._host.session
+        """Public number of the host that the PLC obeys; 0: nobody."""
+        return self._host.number
 
     def cycle(self, host: dict[str, Any] | None, inputs: Inputs) -> None:
         """Run one cycle: listen, check, move the set points.
@@ -175,7 +178,7 @@ class Machine:
             self.counters.torn += 1
             return
         session = host["session"]
-        if session == 0:
+        if session == 0 or host["host_number"] == 0:
             return
         mine = session == self._host.session
         if mine and host["sequence"] != self._host.sequence:
@@ -217,9 +220,13 @@ class Machine:
         return Answer.UNKNOWN
 
     def _enable(self, host: dict[str, Any]) -> Answer:
+        if host["machine"] != self._identity:
+            return Answer.ANOTHER_ROBOT
         if self.state not in (DriveState.CONNECTED, DriveState.ENABLED):
             return Answer.WRONG_STATE
-        self._host = _Host(host["session"], host["sequence"], command=host["command"])
+        self._host = _Host(
+            host["session"], host["host_number"], host["sequence"], command=host["command"]
+        )
         self.place(self._inputs.length)
         self._checks.reset(self.winches.position, host["command"])
         self._disable = False

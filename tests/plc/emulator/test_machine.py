@@ -12,6 +12,7 @@ from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 from tests.robots import simple_robot
 
 CYCLE, PERIOD, WATCHDOG = 0.005, 0.01, 0.1
+IDENTITY = 2**63 + 5  # hash of the robot; ULINT, not LINT
 START = np.array([9.0, 8.0, 9.0, 8.5])
 ROBOT = simple_robot()
 PEAK_MAX = ACCELERATION_HEADROOM * ROBOT.acceleration_max + 1e-9
@@ -26,14 +27,14 @@ class Rig:
     """A machine whose winches stand exactly where they are told, and a host that writes."""
 
     def __init__(self):
-        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG)
+        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG, identity=IDENTITY)
         self.machine.place(START)
         self.offset = np.zeros(4)  # what the encoders say too much
         self.machine.reference = np.zeros(4)
         self.host = {
-            "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
-            "request_number": 0, "follow": 0, "command": 0, "period": PERIOD, "length": START,
-            "rate": np.zeros(4), "sequence_end": 0,
+            "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "host_number": 70,
+            "machine": IDENTITY, "request": 0, "request_number": 0, "follow": 0,
+            "command": 0, "period": PERIOD, "length": START, "rate": np.zeros(4), "sequence_end": 0,
         }  # fmt: skip
         self.positions = []
         self.cycles()
@@ -255,11 +256,29 @@ def test_only_one_session_is_obeyed(rig):
     rig.host = rig.host | {"length": START + 0.01, "follow": 1, "command": 9}
     rig.cycles(3)
     assert rig.machine.state is DriveState.ENABLED
-    assert rig.out["owner"] == 7
+    assert rig.out["owner"] == 70  # the public number, not the session
     rig.host = mine
     assert rig.ask(Request.DISABLE) is Answer.DONE
     rig.cycles(2)
     assert rig.out["owner"] == 0 and rig.machine.state is DriveState.CONNECTED
+
+
+def test_a_host_with_the_file_of_another_robot_is_not_enabled(rig):
+    rig.host = rig.host | {"machine": IDENTITY + 1}
+    assert rig.ask(Request.ENABLE) is Answer.ANOTHER_ROBOT
+    assert rig.machine.state is DriveState.CONNECTED and rig.out["owner"] == 0
+    rig.send(START + 0.01)
+    assert rig.machine.winches.position == pytest.approx(START)
+    rig.host = rig.host | {"machine": IDENTITY}
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+
+
+def test_the_public_number_of_the_owner_commands_nothing(rig):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | {"session": rig.host["host_number"]}
+    rig.send(START + 0.01)
+    assert rig.machine.state is DriveState.ENABLED
+    assert rig.machine.counters.foreign > 0
 
 
 def test_torn_data_are_not_taken_over(rig):
