@@ -113,7 +113,7 @@ def judged(folder: Path, robot: ct.Robot, memory: np.ndarray) -> str:
         ["measurements recorded", "one a cycle", str(kinds.count("measured"))],
         ["late cycles", "reported", str(data["late_cycles"])],
         *(
-            [f"memory of the {who} after {warm_from / 60.0:.1f} minutes; largest change from then on",
+            [f"memory of the {who} after {warm_from / 60.0:.1f} minutes; largest change since",
              "1 MB", f"{warm[0, k]:.1f} MB; {np.abs(warm[:, k] - warm[0, k]).max():.2f} MB"]
             for k, who in ((1, "host"), (2, "PLC"))
         ),
