@@ -76,6 +76,7 @@ def make_guard(
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable or reset_only,
         "start_position": home, "home_anew": options.home_anew,
+        "home_confirmed": options.home_confirmed,
         "rehearse": options.home is not None and not reset_only, "enable_at_once": not reset_only,
         "reset_at_once": options.reset, "real_time": True,
         "speed_max": WINCH_RATE_RATIO * options.speed,

@@ -12,6 +12,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.home_check import SenseErrors
 from carosac_toolkit.safety.limiter import LimitSettings
 
 WINCH_DELAY_S = 0.1  # 50 ms of the winches, network, sampling, and a period
@@ -51,6 +52,9 @@ class GuardSettings:
         rehearse: Whether a dry run homes at `start_position` in `connect` too, and refuses what
             `enable` would; offsets are numbers of this host, and no drive hears of it.
         home_anew: Whether `enable_at_once` may change offsets by more than `home_change_max`.
+        home_confirmed: Whether a person vouches for the pose by which `enable_at_once` homes anew,
+            where load cells, IMU and pose measurement would not notice a wrong one.
+        senses: Errors of those and of a home that is right; they decide what is noticed.
         real_time: Whether the driver's time is wall-clock time; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
         limits: Limits of the commands; the box is judged by the pose instead (`workspace_margin`).
@@ -100,6 +104,8 @@ class GuardSettings:
     reset_at_once: bool = False
     rehearse: bool = False
     home_anew: bool = False
+    home_confirmed: bool = False
+    senses: SenseErrors = field(default_factory=SenseErrors)
     real_time: bool | None = None
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
     first_max: float = 0.1
