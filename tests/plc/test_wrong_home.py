@@ -1,5 +1,6 @@
 """A home that is wrong, with encoders that cannot know it, on a PLC in a process of its own."""
 
+import json
 import time
 
 import numpy as np
@@ -77,3 +78,27 @@ def test_encoders_alone_need_the_word_of_a_person(tmp_path, capsys):
         guard.connect()
         assert guard.state is DriveState.ENABLED
         guard.close()
+
+
+@pytest.mark.parametrize("wiring", [(), ("--fault", "wrong_sign=2")], ids=["right", "wrong"])
+def test_a_fast_run_from_a_new_home_starts_slowly_and_sees_a_wrong_sign(tmp_path, wiring):
+    """Tensions shift on the first centimetres, at 5 cm/s, whatever speed was asked for."""
+    with plc_process("--watchdog", "0.6", "--shift", "0.5", *wiring) as plc:
+        home = np.array(plc.robot.home_position)
+        goal = home + np.array([0.0, 0.4, 0.0])
+        words = ["run", "--driver", "ads", "--robot", str(plc.file), "--enable", "--rate", "50"]
+        words += ["--home", *(f"{x:g}" for x in home), "--to", *(f"{x:g}" for x in goal)]
+        words += ["--home-anew", "--home-confirmed", "--speed", "0.4"]
+        words += ["--recording", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
+        for setting in ("inner.lost_after=0.5", "stale_time=0.5", "overrun_share=1.0"):
+            words += ["--set", f"driver.{setting}"]
+        status = main([*words, "--set", "driver.hang_time=1.5"])
+        found = json.loads((tmp_path / "run.json").read_text())
+        moved = state_of(plc)[0] - home
+        if wiring:
+            assert status == 1 and found["fault"] == "closure"
+            assert "turn the other way" in found["reason"]
+            assert np.linalg.norm(moved) < 0.1
+        else:
+            assert status == 0, found["reason"]
+            assert moved == pytest.approx(goal - home, abs=0.03)

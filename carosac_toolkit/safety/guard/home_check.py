@@ -14,6 +14,7 @@ from carosac_toolkit.physics.rest.senses import AXES, SensedHome, sensed_home, t
 from carosac_toolkit.robot.robot import Robot
 
 FALSE_ALARM_PROBABILITY = 1e-4  # of refusing a right home
+SWAY_SAMPLES = 4  # a second of sway and vibration tells its mean as well as so many samples do
 DETECTABLE_MAX_M = 10.0  # a larger error is not worth a number
 DETECTION_DEVIATIONS = 2.33  # beyond the limit, so that 99 % of such errors are noticed
 LOAD_CELLS, IMU, POSE = "load cells", "IMU", "pose measurement"
@@ -163,13 +164,13 @@ def _means(
     if len(tensions) and expected.taut:
         reading[:n] = tensions.mean(axis=0)
         scale = errors.tension_scale * expected.reading[:n]
-        variance[:n] = errors.tension_noise**2 / len(tensions) + errors.tension_bias**2 + scale**2
+        variance[:n] = _of_mean(tensions, errors.tension_noise) + errors.tension_bias**2 + scale**2
     forces = [m.imu.specific_force[0] for m in measurements if m.imu]
     if forces:
         samples, part = np.concatenate(forces), slice(n, n + AXES)
         mounting = errors.imu_mounting * np.linalg.norm(expected.reading[part])
         reading[part] = samples.mean(axis=0)
-        variance[part] = errors.specific_force_noise**2 / len(samples) + mounting**2
+        variance[part] = _of_mean(samples, errors.specific_force_noise) + mounting**2
         variance[part] += errors.specific_force_bias**2
     pose = measurements[-1].pose
     if pose is not None:
@@ -177,6 +178,11 @@ def _means(
         reading[n + AXES :] = np.concatenate([pose.position[0], turn])
         variance[n + AXES :] = np.repeat([errors.position**2, errors.rotation**2], AXES)
     return reading, variance
+
+
+def _of_mean(samples: Array, noise: float) -> Array:
+    """Return the variance of the mean of samples with noise of a platform that may sway."""
+    return np.asarray(noise**2 / len(samples) + samples.var(axis=0) / SWAY_SAMPLES)
 
 
 def _covariance(expected: SensedHome, variance: Array, errors: SenseErrors, robot: Robot) -> Array:

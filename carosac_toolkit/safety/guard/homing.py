@@ -16,6 +16,7 @@ from carosac_toolkit.safety.guard.lifecycle import NotReady
 from carosac_toolkit.safety.guard.monitor import Monitor
 
 HOMING_SAMPLES = 10  # of which the mean is homed: a third of the noise of one
+SENSED_TIME_S = 1.0  # of which load cells and IMU are averaged for a home anew: it may vibrate
 STANDING_CHANGE_MAX_M = 0.003  # fifteen times the noise of an encoder
 
 
@@ -38,9 +39,12 @@ class Homing:
         """Find the offset of each cable; see `GuardedDriver.home`."""
         monitor = self._monitor
         lengths = homing_lengths(monitor.robot, position)
-        change = lengths - self.standing_still()
+        samples = HOMING_SAMPLES
         if anew:
-            far = float(np.abs(change).max()) > monitor.settings.home_change_max
+            samples = max(samples, round(SENSED_TIME_S / monitor.settings.period))
+        change = lengths - self.standing_still(samples)
+        far = float(np.abs(change).max()) > monitor.settings.home_change_max
+        if anew:
             self._check_senses(position, confirmed=confirmed or not far)
         else:
             self._check_change(change)
@@ -49,6 +53,7 @@ class Homing:
         else:
             monitor.offset = monitor.offset + change
         monitor.restart_checks()
+        monitor.checks.first_way = far
         monitor.lifecycle.go(DriveState.HOMED)
         self.change = change
         changes = ", ".join(f"{x:+.4f}" for x in change)
@@ -64,7 +69,7 @@ class Homing:
             time=np.zeros(1), position=position.reshape(1, 3), rotation=rotation.reshape(1, 3, 3)
         )
 
-    def standing_still(self) -> Array:
+    def standing_still(self, samples: int = HOMING_SAMPLES) -> Array:
         """Return the mean of some samples of winches that stand [m], shape (n,).
 
         Raises:
@@ -72,7 +77,7 @@ class Homing:
         """
         monitor = self._monitor
         self._standing = []
-        for _ in range(HOMING_SAMPLES):
+        for _ in range(samples):
             self._standing.append(monitor.measure())
             monitor.pass_period()
             if monitor.lifecycle.fault is not None:

@@ -19,13 +19,13 @@ WINCH_DELAY_S = 0.1  # 50 ms of the winches, network, sampling, and a period
 UNITS_OF_FIELDS = {
     "m": (
         "first_max", "range_margin", "jump_max", "following_max", "direction_max", "closure_max",
-        "belief_max", "workspace_margin", "home_change_max", "step_max",
+        "belief_max", "workspace_margin", "home_change_max", "step_max", "first_way",
     ),
     "s": ("period", "hang_time", "slack_time", "record_lag", "stale_time"),
     "m/s": ("speed_max",),
-    "": ("tension_shift_max",),
+    "": ("tension_shift_max", "first_shift_max"),
 }  # fmt: skip
-NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max")
+NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max", "first_shift_max")
 Point = tuple[float, float, float]
 SCENE_SETTINGS = ("set_down", "wind_force", "wind_time")  # of a study's case, for a simulation
 
@@ -75,6 +75,9 @@ class GuardSettings:
         tension_shift_max: Largest relative change since `enable` of the ratio of measured tension
             to equilibrium tension at the measured lengths; with load cells and six cables or fewer.
             None: not checked, as sway shifts tensions too; for slow runs.
+        first_way: Distance from where the robot is enabled at a new home within which it is to be
+            moved slowly [m]; a home is new if it changed an offset by more than `home_change_max`.
+        first_shift_max: The same as `tension_shift_max`, within `first_way` alone.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
         belief_max: Largest distance of the estimated position from that of the lengths [m].
@@ -116,6 +119,8 @@ class GuardSettings:
     following_max: float = 0.06
     direction_max: float = 0.004
     tension_shift_max: float | None = None
+    first_way: float = 0.1
+    first_shift_max: float | None = None
     closure_max: float = 0.03
     belief_max: float = 0.7
     workspace_margin: float = 0.3
