@@ -102,8 +102,9 @@ class Homing:
             raise NotReady(
                 f"home: {' and '.join(evidence.senses)} contradict a platform at rest at {where}: "
                 f"{evidence.worst}; all readings together are {evidence.deviation:.1f} standard "
-                f"deviations off, allowed: {evidence.limit:.1f}. Let it hang without sway and measure "
-                "its position again; check the mass in the robot file and the errors of the sensors (senses)"
+                f"deviations off, allowed: {evidence.limit:.1f}. Let it hang without sway and "
+                "measure its position again; check the mass in the robot file and the errors of "
+                "the sensors (senses)"
             )
         if not (confirmed or evidence.detectable_worst <= settings.workspace_margin):
             raise NotReady(
