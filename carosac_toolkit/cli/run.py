@@ -29,6 +29,7 @@ from carosac_toolkit.cli.run_builder import (
     make_guard,
     make_path,
     recorded,
+    started_slowly,
 )
 from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
@@ -68,7 +69,8 @@ def run(options: Options) -> CommandResult:
         guard.journal = recorder
         say(_what(options, guard, recorder))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
-            completed, error = _run(options, guard, estimator, controller, path, statistics)
+            followed = started_slowly(path, options, guard)
+            completed, error = _run(options, guard, estimator, controller, followed, statistics)
         statistics.end_line()
         whole = recorder.close()
     if guard.fault is None and error is None and (guard.unrecorded or not whole):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from typing import Any
 
@@ -61,6 +62,7 @@ class Emulator:
             InvalidField: The robot cannot rest at its start.
         """
         n = nominal.n
+        self._whole_cycle = threading.RLock()  # control lines come from another thread
         self.hardware = nominal.hardware or Hardware.loopback(n)
         self._settings = settings
         self.world = World(plant, self.hardware, settings, seed)
@@ -112,7 +114,8 @@ class Emulator:
         cycle = self._settings.cycle
         origin, done = time.monotonic(), 0
         while self._running and (duration is None or done * cycle < duration):
-            self.step()
+            with self._whole_cycle:
+                self.step()
             done += 1
             late = time.monotonic() - origin - done * cycle
             if late < 0.0:
@@ -210,8 +213,9 @@ class Emulator:
         """Set the platform down at rest elsewhere."""
         if self.machine.state.value not in ("connected", "fault", "estop"):
             raise CarosacError("plc: the drives are on; disable them first")
-        self.world.place(np.asarray(position, dtype=np.float64))
-        self._take_over_positions()
+        with self._whole_cycle:
+            self.world.place(np.asarray(position, dtype=np.float64))
+            self._take_over_positions()
 
     def _take_over_positions(self) -> None:
         """Set the set positions to where the winches stand."""
