@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -123,6 +124,15 @@ def plugin_finding(part: str, error: BaseException) -> Finding:
     if part != "estimator" and field in ("unstrained_length", "length_rate"):
         fault = Fault.COMMAND
     return Finding(fault=fault, text=f"the {part} raised {type(error).__name__}: {error}")
+
+
+def interrupted_by_operator(ending: str | None) -> bool:
+    """Return whether a `KeyboardInterrupt` can be the operator's, and not that of a plug-in.
+
+    Python itself raises it at Ctrl-C, anywhere in the program; a program with a handler of its own,
+    such as ``carosac run``, does so only where an end was asked for already (`ending`).
+    """
+    return ending is not None or signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def error_finding(error: Exception) -> Finding:

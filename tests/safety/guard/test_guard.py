@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -644,6 +645,7 @@ def test_the_loop_runs_to_the_end_and_leaves_the_robot_at_rest():
     [
         ({"fails_at": 40, "error": ZeroDivisionError("oops")}, Fault.CONTROLLER, ZeroDivisionError),
         ({"fails_at": 40, "error": BadPlugin("no")}, Fault.CONTROLLER, BadPlugin),
+        ({"fails_at": 40, "error": SystemExit(0)}, Fault.CONTROLLER, BadPlugin),
         ({"fails_at": 40}, Fault.COMMAND, InvalidField),
     ],
 )
@@ -656,6 +658,21 @@ def test_a_controller_that_fails_is_named_and_the_robot_stops(broken, fault, kin
     assert within_limits(guard.inner.seen)
     assert "at_rest" in guard.journal.names()
     assert guard.state is DriveState.DISCONNECTED
+
+
+@pytest.mark.parametrize("operator", [True, False])
+def test_an_interrupt_is_a_fault_of_the_plug_in_unless_an_end_was_asked_for(operator, monkeypatch):
+    """As in `carosac run`, whose own handler takes Ctrl-C: only a second one interrupts."""
+    monkeypatch.setattr(signal, "getsignal", lambda number: "a handler of the program")
+    guard = guarded()
+    controller = Holding(fails_at=40, error=KeyboardInterrupt())
+    if operator:
+        controller.reset = lambda _: guard.end("SIGINT")
+        controller.fails_at = 1
+    with pytest.raises(KeyboardInterrupt):
+        run(guard, Holding(), controller, path())
+    assert (guard.fault is None) == operator
+    assert "at_rest" in guard.journal.names()
 
 
 def test_a_belief_that_runs_away_is_a_fault_of_the_estimator():
