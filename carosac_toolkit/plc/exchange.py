@@ -268,8 +268,9 @@ class PlcExchange:
             due = now
         with self._wake:
             self._wake.wait_for(
-                lambda: self._fresh or self._calls or not self._running, max(0.0, due - now)
-            )
+                lambda: self._fresh or (self._calls and self.error is None) or not self._running,
+                max(0.0, due - now),
+            )  # calls are made after a cycle that succeeded: one that failed waits for its tick
         return min(due, time.monotonic())
 
     def _cycle(self) -> None:
@@ -350,7 +351,7 @@ class PlcExchange:
         if alive:
             self._offset.add(received, values["time"])
         truth = None
-        if self.wants_truth and self.emulated:
+        if self.wants_truth and self._link.has(TRUTH):
             truth = self._truth.unpack(self._link.read(TRUTH, self._truth.size))
         self.reading = Reading(
             values=values, received=received, truth=truth,
@@ -367,7 +368,7 @@ class PlcExchange:
             self._failed(str(error))
             return False
         self._connected, self._heard, self._failures = True, False, 0
-        self.emulated = self._link.has(TRUTH)
+        self.emulated = self.emulated or self._link.has(TRUTH)  # known also while reconnecting
         self.counters.reconnects += self.reading is not None
         return True
 

@@ -303,6 +303,50 @@ def test_a_fault_is_named_and_all_cables_come_to_rest_within_the_limits(cause, f
     guard.close()
 
 
+class SilentDriver(FailingDriver):
+    """A robot behind a link: once `since` is set no sample comes, while the clock goes on."""
+
+    lost_after, since = 0.5, None  # [s]
+
+    def measure(self):
+        if self.since is None:
+            return super().measure()
+        return replace(self.since, time=FailingDriver.measure(self).time)
+
+    @property
+    def silent(self):
+        return self.since is not None and (
+            FailingDriver.measure(self).time[0] - self.since.time[0] > self.lost_after
+        )
+
+    def status(self):
+        return str(DriveState.FAULT) if self.silent else super().status()
+
+    @property
+    def fault(self):
+        return Fault.LOST_CONNECTION if self.silent else super().fault
+
+
+def test_a_silent_link_is_a_lost_connection_once_its_patience_ends_and_no_fault_of_the_controller():
+    """Also where the platform is so fast that its winches have left their last samples far."""
+    inner = SilentDriver.build(ROBOT, QuasiStaticSettings(period=PERIOD), seed=1)
+    settings = GuardSettings(driver="quasi_static", period=PERIOD, motion=True)
+    guard = GuardedDriver(inner, ROBOT, settings, real_time=False)
+    guard.journal = Notes()
+    guard.connect()
+    drive(guard, 10, speed=1.0)
+    inner.since = FailingDriver.measure(inner)
+    begin, asked = float(inner.since.time[0]), standing(guard)
+    lead = lengths_at(ROBOT.home_position) - lengths_at(
+        ROBOT.home_position + np.array([PERIOD, 0.0, 0.0])
+    )
+    while guard.wait(PERIOD):
+        asked = asked - lead  # 1 m/s
+        guard.command(Command(time=guard.measure().time, unstrained_length=asked))
+    assert guard.fault.fault is Fault.LOST_CONNECTION, guard.fault
+    assert guard.fault.time - begin == pytest.approx(inner.lost_after, abs=2.0 * PERIOD)
+
+
 def test_lost_measurements_are_a_lost_connection():
     guard = connected()
     drive(guard, 40)
