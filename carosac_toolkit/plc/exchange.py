@@ -26,6 +26,7 @@ from carosac_toolkit.plc.reading import LinkCounters, Reading
 FIRST_DATA_TIMEOUT_S = 2.0  # beyond it a PLC is off or elsewhere
 RECONNECT_PERIOD_S = 0.2
 FAILURES_BEFORE_RECONNECT = 4  # calls in a row: a lost packet or two is no broken connection
+CLOCK_MAX_S = 1e11  # beyond it a double no longer resolves 0.02 ms
 _RELEASING = (Request.DISABLE, Request.HOLD)
 
 
@@ -341,6 +342,10 @@ class PlcExchange:
         if not blocks.whole(self._to_host, values, self._n):
             self.counters.torn += 1
             return
+        if not abs(values["time"]) <= CLOCK_MAX_S:
+            raise LinkError(
+                f"time of the PLC: got {values['time']} s; allowed: at most {CLOCK_MAX_S:g} s"
+            )
         last = self.reading
         if last is not None and (
             values["boot"] != last.values["boot"] or values["time"] < last.values["time"]

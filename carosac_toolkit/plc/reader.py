@@ -14,6 +14,7 @@ from carosac_toolkit.loop.values import Measurement, Stamped, State
 from carosac_toolkit.plc.blocks import DriveStatus
 from carosac_toolkit.plc.exchange import PlcExchange
 from carosac_toolkit.plc.imu_udp import ImuListener
+from carosac_toolkit.plc.plausible import check_plausible
 from carosac_toolkit.plc.reading import LinkCounters, Reading
 from carosac_toolkit.plc.settings import (
     EMULATED_SILENCE_MAX_S,
@@ -124,9 +125,14 @@ class PlcReader:
         return f"{fault}{number}{cable}: {fault.meaning}"
 
     def measure(self) -> Measurement:
-        """Return the newest data that came from the PLC."""
+        """Return the newest data that came from the PLC.
+
+        Raises:
+            InvalidField: A number that is not finite, or beyond what winches can do.
+        """
         reading, hardware = self._reading(), self._hardware
         values = reading.values
+        check_plausible(values, self._robot, hardware)
         stamp = np.array([self._ticks.since(reading.measured)])
         rate = hardware.unit * values["rate"]
         tension = None

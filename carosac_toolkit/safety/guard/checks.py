@@ -20,6 +20,7 @@ from carosac_toolkit.safety.guard.settings import GuardSettings
 
 STALE_TIME_S = 0.08  # eight periods of 10 ms
 SAMPLE_AGE_S = 0.05  # allowed for in `GuardSettings.step`, beside the lag of the winches
+LINK_MARGIN_PERIODS = 3.0  # cycles are counted, and those of a start come early
 LAG_SPREAD_S = 0.03  # lags differ by this much, besides the age of a sample
 TENSION_MEAN_TIME_S = 0.5  # the platform tilts to and fro at some Hz
 FAULT_DURATION_S = 0.03  # three periods of 10 ms: one wrong sample stops nobody
@@ -63,6 +64,8 @@ class Checks:
     def restart(self, *, link_patience: float) -> None:
         """Forget all samples; `link_patience`: how long the driver waits for its robot [s]."""
         asked = self._settings.stale_time
+        if link_patience > 0.0:  # the driver says first whether its link is lost or data stale
+            link_patience += LINK_MARGIN_PERIODS * self._settings.period
         self.patience = max(STALE_TIME_S, link_patience) if asked is None else asked
         self._last: Measurement | None = None
         self._held = False

@@ -26,6 +26,14 @@ from carosac_toolkit.safety.guard.settings import GuardSettings
 
 SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
 START_SETTING = "start_position"  # of a simulated robot; a real one starts where it is
+FAULTS_OF_FIELDS = {  # of a measurement with an impossible number
+    "unstrained_length": Fault.ENCODER_JUMP,
+    "length": Fault.ENCODER_JUMP,
+    "length_rate": Fault.ENCODER_JUMP,
+    "set_length": Fault.FOLLOWING_ERROR,
+    "tension": Fault.TENSION,
+    "time": Fault.STALE_DATA,
+}
 STATES_OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)
 
 
@@ -138,9 +146,8 @@ def interrupted_by_operator(ending: str | None) -> bool:
 def error_finding(error: Exception) -> Finding:
     """Return what an error of a driver means: an impossible number, or a lost connection."""
     if isinstance(error, InvalidField):
-        length = "length" in error.field
-        text = f"an impossible measurement: {error}"
-        return Finding(fault=Fault.ENCODER_JUMP if length else Fault.UNKNOWN, text=text)
+        fault = FAULTS_OF_FIELDS.get(error.field.partition("[")[0], Fault.UNKNOWN)
+        return Finding(fault=fault, text=f"an impossible measurement: {error}")
     return Finding(fault=Fault.LOST_CONNECTION, text=described(error))
 
 

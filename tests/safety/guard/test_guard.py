@@ -458,7 +458,7 @@ def test_drives_that_no_longer_follow_are_a_fault():
     "error, fault",
     [
         (InvalidField("unstrained_length[0]", "nan", "finite"), Fault.ENCODER_JUMP),
-        (InvalidField("tension[0]", "nan", "finite"), Fault.UNKNOWN),
+        (InvalidField("tension[0]", "nan", "finite"), Fault.TENSION),
         (RuntimeError("a kernel failed"), Fault.LOST_CONNECTION),
     ],
 )
