@@ -106,7 +106,12 @@ class PlcReader:
             return Fault.STALE_DATA
         if self._enabled and exchange.other:
             return Fault.OWNER
-        return Fault.NONE
+        return Fault.STALE_DATA if self._imu_lost else Fault.NONE
+
+    @property
+    def _imu_lost(self) -> bool:
+        """True if the IMU that the suite asks for is silent."""
+        return self._imu is not None and self._imu.silence > self._settings.imu_lost_after
 
     @property
     def fault_text(self) -> str:
@@ -118,6 +123,12 @@ class PlcReader:
             if exchange.age <= self.lost_after:
                 return "lost connection: the PLC was started anew; home again"
             return f"lost connection: no answer for {exchange.age:.2f} s ({exchange.error})"
+        if self._imu is not None and self.link_fault is Fault.STALE_DATA and self._imu_lost:
+            return (
+                f"stale data: no sample of the IMU for {self._imu.silence:.2f} s; allowed: "
+                f"{self._settings.imu_lost_after:g} s ({self._imu.received} came, "
+                f"{self._imu.foreign} datagrams of others were refused)"
+            )
         axis = exchange.reading.values["fault_axis"]
         names = self._robot.cable_names
         cable = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""

@@ -319,6 +319,22 @@ def test_a_plc_that_starts_anew_with_a_clock_that_goes_on_is_seen(program, host)
         driver.enable()
 
 
+def test_a_suite_with_an_imu_that_is_silent_is_a_fault(program):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        source = ImuSource(port=free.getsockname()[1])
+    robot = replace(ROBOT, hardware=replace(Hardware.loopback(N), imu=source))
+    settings = GuardedAdsSettings(suite="lengths+imu", inner={"imu_lost_after": 0.2})
+    guard = GuardedAds.build(robot, settings)
+    guard.connect()
+    try:
+        until(lambda: guard.measure() and not guard.wait(settings.period))
+        assert guard.fault.fault is Fault.STALE_DATA
+        assert "no sample of the IMU for 0.2" in guard.fault.text
+    finally:
+        guard.close()
+
+
 def test_inertial_samples_reach_the_measurement_at_the_times_of_the_sensor(program):
     """The sensor has a clock of its own, and some datagrams come late; the spacing is exact."""
     ahead, late, count = 1234.5, 0.03, 40  # [s] of its clock, [s], samples
