@@ -177,6 +177,7 @@ def _result(
         "recording": str(recorder.path),
         "rows": recorder.rows,
         "unrecorded_rows": guard.unrecorded,
+        "commands_before_row": guard.monitor.unwritten,
     }
     where = "" if statistics.position is None else f"platform at {place(statistics.position)}\n"
     say(f"{reason}\n{where}{statistics.cycles} cycles, {guard.overruns} late; limited: "

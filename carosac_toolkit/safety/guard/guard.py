@@ -344,9 +344,7 @@ class GuardedDriver(MotionDriver):
         if self.monitor.sent:
             raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
         self._life.go(DriveState.FOLLOWING)
-        sent = self.commander.follow(command, actual)
-        self.monitor.note(self.journal.sent, command, sent, really=True)
-        return sent
+        return self.commander.follow(command, actual)
 
     def _dry_run(self, command: Command, held: Array) -> Command:
         """Limit and journal a command; return that the winches hold."""
