@@ -28,6 +28,7 @@ import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.files import check_writable
+from carosac_toolkit.base.local_peer import is_loopback
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
@@ -45,7 +46,6 @@ from carosac_toolkit.viewer.page import (
     LOOPBACK_ADDRESS,
     SAG_FACTOR_MAX,
     Page,
-    is_loopback,
 )
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 

@@ -27,6 +27,7 @@ from carosac_toolkit.plc.reading import LinkCounters, Reading
 FIRST_DATA_TIMEOUT_S = 2.0  # beyond it a PLC is off or elsewhere
 RECONNECT_PERIOD_S = 0.2
 FAILURES_BEFORE_RECONNECT = 4  # calls in a row: a lost packet or two is no broken connection
+CLOCK_MAX_S = 1e11  # beyond it a double no longer resolves 0.02 ms
 _RELEASING = (Request.DISABLE, Request.HOLD)
 
 
@@ -275,8 +276,9 @@ class PlcExchange:
             due = now
         with self._wake:
             self._wake.wait_for(
-                lambda: self._fresh or self._calls or not self._running, max(0.0, due - now)
-            )
+                lambda: self._fresh or (self._calls and self.error is None) or not self._running,
+                max(0.0, due - now),
+            )  # calls are made after a cycle that succeeded: one that failed waits for its tick
         return min(due, time.monotonic())
 
     def _cycle(self) -> None:
@@ -347,6 +349,10 @@ class PlcExchange:
         if not blocks.whole(self._to_host, values, self._n):
             self.counters.torn += 1
             return
+        if not abs(values["time"]) <= CLOCK_MAX_S:
+            raise LinkError(
+                f"time of the PLC: got {values['time']} s; allowed: at most {CLOCK_MAX_S:g} s"
+            )
         last = self.reading
         if last is not None and (
             values["boot"] != last.values["boot"] or values["time"] < last.values["time"]
@@ -357,7 +363,7 @@ class PlcExchange:
         if alive:
             self._offset.add(received, values["time"])
         truth = None
-        if self.wants_truth and self.emulated:
+        if self.wants_truth and self._link.has(TRUTH):
             truth = self._truth.unpack(self._link.read(TRUTH, self._truth.size))
         self.reading = Reading(
             values=values, received=received, truth=truth,
@@ -380,7 +386,7 @@ class PlcExchange:
                 self._answered.notify_all()
             return False
         self._connected, self._heard, self._failures = True, False, 0
-        self.emulated = self._link.has(TRUTH)
+        self.emulated = self.emulated or self._link.has(TRUTH)  # known also while reconnecting
         self.counters.reconnects += self.reading is not None
         return True
 

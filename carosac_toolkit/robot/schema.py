@@ -337,6 +337,7 @@ class ImuInput(_Section):
     source: Literal["udp"]
     ip: Text = "127.0.0.1"
     port: Port
+    sender: Text | None = None
 
 
 class HardwareInput(_Section):

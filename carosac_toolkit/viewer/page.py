@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import html
 import io
-import ipaddress
 import socket
 import threading
 import time
@@ -217,13 +216,3 @@ def start_server(host: str, port: int, title: str) -> Any:
     server.scene.configure_default_lights(enabled=True, cast_shadow=False)
     server.scene.add_light_ambient("/light", intensity=1.2)
     return server
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach an address."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

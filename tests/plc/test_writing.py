@@ -1,5 +1,6 @@
 """When a host writes and when not: hosts and a PLC program in one process, no network."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -15,6 +16,7 @@ from carosac_toolkit.plc import driver as driver_module
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
 from carosac_toolkit.plc.emulator.settings import winch_limits
+from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.plc.identity import machine_values
 from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
@@ -37,8 +39,12 @@ class Program:
         self.from_host, self.to_host = blocks.from_host(N), blocks.to_host(N)
         self.memory = bytes(self.from_host.size)
         self.writers = []
-        self.deaf = False
+        self.deaf, self.said = False, {}
         self.start()
+
+    def say(self, name, value, cable=None):
+        """Have the PLC say a number from now on, of one cable if it has one."""
+        self.said[name] = (value, cable)
 
     def start(self):
         limits = winch_limits(ROBOT, Hardware.loopback(N))
@@ -66,7 +72,13 @@ class Program:
                 host["request"] = 0
             inputs = Inputs(length=self.machine.winches.position, rate=np.zeros(N))
             self.machine.cycle(host if host["layout"] else None, inputs)
-            return self.to_host.pack(self.machine.output(inputs))
+            output = self.machine.output(inputs)
+            for name, (value, cable) in self.said.items():
+                if cable is None:
+                    output[name] = value
+                else:
+                    output[name] = np.where(np.arange(N) == cable, value, output[name])
+            return self.to_host.pack(output)
 
     def close(self):
         pass
@@ -110,6 +122,38 @@ def written(program, seconds=0.05):
     count = len(program.writers)
     time.sleep(seconds)
     return set(program.writers[count:])
+
+
+WRONG = [
+    *(("rate", x, 1, Fault.ENCODER_JUMP) for x in (1e6, 1e300, np.nan, np.inf, -6.0)),
+    *(("length", x, 1, Fault.ENCODER_JUMP) for x in (1e6, 1e300, np.nan, -np.inf)),
+    *(("tension", x, 1, Fault.TENSION) for x in (1e6, 1e300, np.nan, np.inf)),
+    *(("set_length", x, 1, Fault.FOLLOWING_ERROR) for x in (1e6, 1e300, np.nan)),
+    *(("time", x, None, Fault.LOST_CONNECTION) for x in (1e300, np.nan, np.inf)),
+]
+
+
+@pytest.mark.parametrize("name, value, cable, fault", WRONG)
+def test_a_number_that_no_winch_can_do_is_a_fault_by_its_name(program, name, value, cable, fault):
+    settings = GuardedAdsSettings(
+        motion=True, enable_at_once=False, period=0.02, inner={"lost_after": 0.3}, overrun_share=1.0
+    )
+    program.say("has_tension", 1)
+    guard = GuardedAds.build(ROBOT, settings)
+    guard.connect()
+    try:
+        if name == "set_length":
+            guard.home(home_pose(ROBOT), anew=True)
+            guard.inner.enable()
+        guard.measure()
+        program.say(name, value, cable)
+        with contextlib.suppress(CarosacError):
+            for _ in range(200):
+                guard.measure()
+                guard.wait(0.02)
+        assert guard.fault is not None and guard.fault.fault is fault, guard.fault
+    finally:
+        guard.close()
 
 
 def test_a_host_writes_from_enable_until_the_plc_has_let_go(program, host):
@@ -275,6 +319,22 @@ def test_a_plc_that_starts_anew_with_a_clock_that_goes_on_is_seen(program, host)
     assert driver.state is DriveState.CONNECTED
     with pytest.raises(CarosacError, match="not homed"):
         driver.enable()
+
+
+def test_a_suite_with_an_imu_that_is_silent_is_a_fault(program):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        source = ImuSource(port=free.getsockname()[1])
+    robot = replace(ROBOT, hardware=replace(Hardware.loopback(N), imu=source))
+    settings = GuardedAdsSettings(suite="lengths+imu", inner={"imu_lost_after": 0.2})
+    guard = GuardedAds.build(robot, settings)
+    guard.connect()
+    try:
+        until(lambda: guard.measure() and not guard.wait(settings.period))
+        assert guard.fault.fault is Fault.STALE_DATA
+        assert "no sample of the IMU for 0.2" in guard.fault.text
+    finally:
+        guard.close()
 
 
 def test_inertial_samples_reach_the_measurement_at_the_times_of_the_sensor(program):
