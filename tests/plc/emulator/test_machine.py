@@ -33,7 +33,7 @@ class Rig:
         self.host = {
             "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
             "request_number": 0, "follow": 0, "command": 0, "period": PERIOD, "length": START,
-            "rate": np.zeros(4), "sequence_end": 0,
+            "rate": np.zeros(4), "sequence_end": 0, "fault": 0,
         }  # fmt: skip
         self.positions = []
         self.cycles()
