@@ -103,8 +103,8 @@ def make_path(robot: Robot, options: Options) -> Followed:
     """Return what is followed, from where the platform stands."""
     start = np.asarray(options.home or robot.home_position, dtype=float)
     limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
-    for name, value in limits.items():
-        if not 0.0 < value < np.inf:
+    for name, value in {**limits, "duration": options.duration}.items():
+        if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name.removesuffix('_max')}", str(value), "> 0, finite")
     if options.to is not None and (options.by_hand or options.trajectory != DEFAULT_TRAJECTORY):
         raise InvalidField("--to", "also --by-hand or --trajectory", "one of the three")
