@@ -254,6 +254,11 @@ def test_no_plc_is_one_clear_message_and_leaves_no_thread(plc):
     assert not [t for t in threading.enumerate() if t.name == "plc-exchange"]
 
 
+def test_a_period_that_the_plc_would_refuse_is_refused_by_name():
+    with pytest.raises(InvalidField, match=r"period: got 0\.2 s; allowed: <= 0\.1 s"):
+        PlcDriverSettings(period=0.2)
+
+
 def test_a_suite_needs_its_sensors(plc):
     blind = replace(plc.robot, hardware=replace(plc.robot.hardware, imu=None))
     with pytest.raises(InvalidField, match=r"hardware\.imu"):
