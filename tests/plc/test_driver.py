@@ -12,7 +12,6 @@ from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, FROM_HOST, Injection, Request, from_host
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
-from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM
 from carosac_toolkit.safety.limiter import Limiter
 from tests.plc_process import home_pose, own_address, plc_process
 
@@ -118,9 +117,7 @@ def test_winches_follow_and_no_limit_is_passed(plc, driver):
     assert found["over_acceleration"] == found["over_jerk"] == 0
     robot = plc.robot
     assert (found["speed_peak"] * 1e-3 <= robot.speed_max).all()
-    assert (
-        found["acceleration_peak"] * 1e-3 <= ACCELERATION_HEADROOM * robot.acceleration_max + 1e-9
-    ).all()
+    assert (found["acceleration_peak"] * 1e-3 <= robot.acceleration_max + 1e-9).all()
 
 
 def test_stop_is_a_ramp_of_all_winches_together(plc, driver):
@@ -256,6 +253,11 @@ def test_no_plc_is_one_clear_message_and_leaves_no_thread(plc):
     with pytest.raises(CarosacError, match=rf"PLC {ip}.1.1 at {ip}: cannot connect"):
         PlcDriver(robot).connect()
     assert not [t for t in threading.enumerate() if t.name == "plc-exchange"]
+
+
+def test_a_period_that_the_plc_would_refuse_is_refused_by_name():
+    with pytest.raises(InvalidField, match=r"period: got 0\.2 s; allowed: <= 0\.1 s"):
+        PlcDriverSettings(period=0.2)
 
 
 def test_a_suite_needs_its_sensors(plc):
