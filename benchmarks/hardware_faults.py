@@ -172,6 +172,7 @@ def host(trial: Trial, name: str = "run") -> int:
         controller="benchmarks.hardware_faults:Wrong",
         estimator="benchmarks.hardware_faults:Diverging", trajectory="circle", enable=True,
         home=tuple(float(x) for x in ct.load_robot("carosac").home_position), home_anew=True,
+        home_confirmed=True,
         settings=(f"driver.stale_time={SILENCE_S}", f"driver.hang_time={SILENCE_S}",
                   f"driver.inner.lost_after={SILENCE_S}"),
         speed=0.8, acceleration=0.8, recording=trial.folder / f"{name}.jsonl",

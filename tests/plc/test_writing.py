@@ -138,12 +138,12 @@ def test_a_number_that_no_winch_can_do_is_a_fault_by_its_name(program, name, val
     settings = GuardedAdsSettings(
         motion=True, enable_at_once=False, period=0.02, inner={"lost_after": 0.3}, overrun_share=1.0
     )
-    program.say("has_tension", 1)
+    program.say("has_tension", int(name == "tension"))
     guard = GuardedAds.build(ROBOT, settings)
     guard.connect()
     try:
         if name == "set_length":
-            guard.home(home_pose(ROBOT), anew=True)
+            guard.home(home_pose(ROBOT), anew=True, confirmed=True)
             guard.inner.enable()
         guard.measure()
         program.say(name, value, cable)
