@@ -9,7 +9,8 @@ import pytest
 from carosac_toolkit.plc.blocks import TO_HOST, TRUTH
 from carosac_toolkit.plc.exchange import PlcExchange
 from carosac_toolkit.plc.link import LinkError
-from tests.plc.test_writing import N, Program, until
+from carosac_toolkit.plc.identity import machine_values
+from tests.plc.test_writing import ROBOT, Program, until
 
 PERIOD = 0.02
 
@@ -40,7 +41,7 @@ def link():
 
 @pytest.fixture
 def exchange(link):
-    found = PlcExchange(link, N, period=PERIOD, writing=False)
+    found = PlcExchange(link, machine_values(ROBOT), period=PERIOD, writing=False)
     found.open()
     yield found
     found.close()
