@@ -9,10 +9,12 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import TracebackType
 
 THREAD_SWITCH_INTERVAL_S = 5e-4  # by default 5e-3
 FIFO_PRIORITY = 5  # 1 to 99
+ISOLATED_CORES = Path("/sys/devices/system/cpu/isolated")
 COLLECT_PERIOD_S = 1.0  # between two collections of garbage at rest
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # of mlockall(2)
 
@@ -42,13 +44,21 @@ def take_priority(command: str, *, inherited: bool = True) -> None:
         print(f"{command}: warning: no priority: {error}", file=sys.stderr)
 
 
+def isolated_cores() -> set[int]:
+    """Return the cores on which the scheduler of Linux puts nothing by itself."""
+    text = ISOLATED_CORES.read_text().strip() if ISOLATED_CORES.exists() else ""
+    spans = [span.partition("-") for span in text.split(",") if span]
+    return {k for low, _, high in spans for k in range(int(low), int(high or low) + 1)}
+
+
 class RealTime:
     """What a loop in real time can have of Linux and Python; what it cannot have is named.
 
     Within the block: priority before ordinary processes, also for threads started later; memory
     that is used stays in memory; garbage is collected at rest only, and what was there before
-    counts as none. From the first `cycle` on its thread keeps a core, so that caches stay warm; the
-    other threads, above all the watchdog, keep all cores.
+    counts as none. From the first `cycle` on its thread keeps an isolated core; the other threads,
+    above all the watchdog, keep all cores. On a core that is not isolated it would wait for others
+    of its priority while another core is free.
     """
 
     def __init__(self, command: str, at_rest: Callable[[], bool]) -> None:
@@ -92,9 +102,10 @@ class RealTime:
         """Move this thread to one core; return those that it had, none where it stays."""
         try:
             cores = os.sched_getaffinity(0)
-            if len(cores) < 2:
-                raise OSError("this process has a single core, which its watchdog needs too")
-            os.sched_setaffinity(0, {max(cores)})
+            isolated = cores & isolated_cores()
+            if not isolated or len(cores) < 2:
+                raise OSError(f"none of {sorted(cores)} is isolated (isolcpus), with one besides")
+            os.sched_setaffinity(0, {max(isolated)})
         except (AttributeError, OSError) as error:
             self._warn("core", error)
             return set()

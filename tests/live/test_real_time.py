@@ -8,7 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from carosac_toolkit.live.real_time import RealTime, take_priority
+from carosac_toolkit.live import real_time as real_time_module
+from carosac_toolkit.live.real_time import RealTime, isolated_cores, take_priority
 
 
 def policies(*, inherited: bool) -> tuple[int, int]:
@@ -41,7 +42,22 @@ def test_threads_started_later_have_priority_only_where_asked(inherited, capsys)
     assert (later == os.SCHED_FIFO) == inherited
 
 
-def test_a_loop_in_real_time_keeps_a_core_and_collects_garbage_at_rest_only(capsys):
+@pytest.fixture
+def isolated(tmp_path, monkeypatch):
+    """Has Linux say that the last core of this process is isolated."""
+    cores = sorted(os.sched_getaffinity(0))
+    path = tmp_path / "isolated"
+    path.write_text(f"{cores[-1]}-{cores[-1] + 2},{cores[-1] + 9}\n")
+    monkeypatch.setattr(real_time_module, "ISOLATED_CORES", path)
+    return cores
+
+
+def test_isolated_cores_are_read_as_linux_writes_them(isolated):
+    last = isolated[-1]
+    assert isolated_cores() == {last, last + 1, last + 2, last + 9}
+
+
+def test_a_loop_in_real_time_keeps_a_core_and_collects_garbage_at_rest_only(isolated, capsys):
     cores, resting = os.sched_getaffinity(0), False
     found = []
 
@@ -58,7 +74,7 @@ def test_a_loop_in_real_time_keeps_a_core_and_collects_garbage_at_rest_only(caps
             Waste()
             real_time.cycle()
             assert not found and not gc.isenabled()
-            assert len(os.sched_getaffinity(0)) == 1
+            assert os.sched_getaffinity(0) == ({max(cores)} if len(cores) > 1 else cores)
             resting = True
             real_time.cycle()
             assert found
@@ -71,7 +87,21 @@ def test_a_loop_in_real_time_keeps_a_core_and_collects_garbage_at_rest_only(caps
     assert all(line.startswith("test: warning: no ") for line in words.splitlines())
 
 
-def test_what_cannot_be_had_is_named(capsys, monkeypatch):
+def test_a_core_that_is_not_isolated_is_left_to_all(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(real_time_module, "ISOLATED_CORES", tmp_path / "none")
+    cores = os.sched_getaffinity(0)
+
+    def loop() -> None:
+        with RealTime("test", lambda: False) as real_time:
+            real_time.cycle()
+            assert os.sched_getaffinity(0) == cores
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(loop).result()
+    assert "test: warning: no core: none of" in capsys.readouterr().err
+
+
+def test_what_cannot_be_had_is_named(isolated, capsys, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(1, "Operation not permitted")
 
