@@ -29,6 +29,7 @@ from carosac_toolkit.cli.run_builder import (
     make_guard,
     make_path,
     recorded,
+    started_slowly,
 )
 from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
@@ -69,7 +70,7 @@ def run(options: Options) -> CommandResult:
         guard.journal = recorder
         say(_what(options, guard, recorder))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
-            parts = (guard, estimator, controller, path)
+            parts = (guard, estimator, controller, started_slowly(path, options, guard))
             completed, error = _run(options, *parts, statistics, real_time)
         statistics.end_line()
         whole = recorder.close()

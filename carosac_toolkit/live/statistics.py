@@ -126,6 +126,9 @@ class Statistics:
         if change is not None:
             changes = ", ".join(f"{1e3 * x:+.1f}" for x in change)
             say(f"homed: the offsets of the cables changed by {changes} mm")
+        evidence = self._guard.homing.evidence
+        if evidence is not None:
+            say(f"homed anew: {evidence.sensitivity}")
 
     def _print(self, step: Step, reference: Array) -> None:
         """Print state, time, estimate, distance to the reference, latency and limits in a line."""

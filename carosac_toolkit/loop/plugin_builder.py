@@ -56,7 +56,8 @@ def settings_of(
     kind = getattr(plugin, "Settings", None)
     if kind is None:
         if asked:
-            raise InvalidField(where, dict(asked), f"nothing: {plugin.__name__} has no Settings")
+            name = getattr(plugin, "__name__", repr(plugin))  # an instance has none
+            raise InvalidField(where, dict(asked), f"nothing: {name} has no Settings")
         return None
     check_types(where, kind(), asked)
     names = setting_names(plugin)

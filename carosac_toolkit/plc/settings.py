@@ -14,6 +14,7 @@ Point = tuple[float, float, float]
 
 SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
 EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
+COMMAND_PERIOD_MAX_S = 0.1  # of the PLC: commands that stop coming are followed on for 3 periods
 _SENSOR_SUITES = ("lengths", "lengths+imu")
 
 
@@ -66,6 +67,10 @@ class PlcDriverSettings:
             allowed = 'settings of the link by name, such as {"port": 48901}'
             raise InvalidField("link_settings", repr(self.link_settings), allowed)
         check_fields(self, positive=("period", "io_period", "imu_lost_after"))
+        if self.period > COMMAND_PERIOD_MAX_S:
+            raise InvalidField(
+                "period", f"{self.period} s", f"<= {COMMAND_PERIOD_MAX_S} s, the limit of the PLC"
+            )
         for name in ("timeout", "lost_after"):
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name), "s")

@@ -33,6 +33,7 @@ class AdsAddress:
         timeout: After which a call is given up [s].
         from_host: Symbol of the structure that the host writes.
         to_host: Symbol of the structure that the host reads.
+        machine: Symbol of the constants that must agree with the robot file.
     """
 
     net_id: str = "127.0.0.1.1.1"
@@ -41,6 +42,7 @@ class AdsAddress:
     timeout: float = 0.05
     from_host: str = "CaRoSaC.from_host"
     to_host: str = "CaRoSaC.to_host"
+    machine: str = "CaRoSaC.machine"
 
     def __post_init__(self) -> None:
         """Refuse an invalid address."""
@@ -54,7 +56,7 @@ class AdsAddress:
             raise InvalidField("hardware.ads.net_id", repr(self.net_id), allowed)
         check_whole("hardware.ads.port", self.port, 1, PORT_MAX)
         check_positive("hardware.ads.timeout", self.timeout, "s")
-        for name in ("ip", "from_host", "to_host"):
+        for name in ("ip", "from_host", "to_host", "machine"):
             if not str(getattr(self, name)).strip():
                 raise InvalidField(f"hardware.ads.{name}", "nothing", "a non-empty text")
 

@@ -295,12 +295,15 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--driver", "ads", "--enable"), "--home: got none; allowed: --home X Y Z"),
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
+        (("--duration", "-3"), "--duration: got -3.0; allowed: > 0, finite"),
         (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
         (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
         (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):
         assert main([*words(tmp_path), *more]) == 2
-        assert said in capsys.readouterr().err
+        out, err = capsys.readouterr()
+        assert said in err
+        assert "\nrecording: " not in out + err
     assert not (tmp_path / "run.json").exists()
 
 

@@ -17,8 +17,10 @@ from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
 from carosac_toolkit.plc.emulator.settings import winch_limits
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.plc.identity import machine_values
 from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
+from carosac_toolkit.robot.identity import machine_hash
 from tests.plc_process import home_pose
 from tests.robots import simple_robot
 
@@ -46,7 +48,7 @@ class Program:
 
     def start(self):
         limits = winch_limits(ROBOT, Hardware.loopback(N))
-        self.machine = Machine(limits, cycle=0.005, watchdog=0.1)
+        self.machine = Machine(limits, cycle=0.005, watchdog=0.1, identity=machine_hash(ROBOT))
         self.machine.place(START)
         self.memory = bytes(self.from_host.size)
 
@@ -54,14 +56,16 @@ class Program:
         pass
 
     def has(self, block):
-        return block in (blocks.FROM_HOST, blocks.TO_HOST)
+        return block in (blocks.FROM_HOST, blocks.TO_HOST, blocks.MACHINE)
 
     def write(self, block, data):
         with self.lock:
             self.memory = data
-            self.writers.append(self.from_host.unpack(data)["session"])
+            self.writers.append(self.from_host.unpack(data)["host_number"])
 
     def read(self, block, size):
+        if block == blocks.MACHINE:
+            return blocks.machine(N).pack(machine_values(ROBOT))
         with self.lock:
             host = self.from_host.unpack(self.memory)
             if self.deaf:
@@ -114,7 +118,7 @@ def until(condition, patience=3.0):
 
 
 def written(program, seconds=0.05):
-    """Sessions that write in a span of time."""
+    """Public numbers of the hosts that write in a span of time."""
     count = len(program.writers)
     time.sleep(seconds)
     return set(program.writers[count:])
@@ -134,12 +138,12 @@ def test_a_number_that_no_winch_can_do_is_a_fault_by_its_name(program, name, val
     settings = GuardedAdsSettings(
         motion=True, enable_at_once=False, period=0.02, inner={"lost_after": 0.3}, overrun_share=1.0
     )
-    program.say("has_tension", 1)
+    program.say("has_tension", int(name == "tension"))
     guard = GuardedAds.build(ROBOT, settings)
     guard.connect()
     try:
         if name == "set_length":
-            guard.home(home_pose(ROBOT), anew=True)
+            guard.home(home_pose(ROBOT), anew=True, confirmed=True)
             guard.inner.enable()
         guard.measure()
         program.say(name, value, cable)
@@ -156,7 +160,7 @@ def test_a_host_writes_from_enable_until_the_plc_has_let_go(program, host):
     driver = host()
     assert not program.writers
     driver.enable()
-    assert written(program) == {driver.exchange.session}
+    assert written(program) == {driver.exchange.number}
     driver.disable()
     assert program.machine.state is DriveState.CONNECTED
     until(lambda: not written(program))
@@ -223,14 +227,14 @@ def test_only_an_emulated_plc_sets_its_robot_down(program, host):
 def test_a_second_host_writes_nothing_and_is_refused(program, host):
     first, second = host(), host()
     first.enable()
-    until(lambda: second.exchange.other == first.exchange.session)
+    until(lambda: second.exchange.other == first.exchange.number)
     for refused in (second.enable, second.reset_fault):
         with pytest.raises(
-            CarosacError, match=f"obeys another host, session {first.exchange.session}"
+            CarosacError, match=f"obeys another host, number {first.exchange.number}"
         ):
             refused()
-    assert written(program) == {first.exchange.session}
-    assert second.exchange.session not in program.writers
+    assert written(program) == {first.exchange.number}
+    assert second.exchange.number not in program.writers
     assert program.machine.counters.foreign == 0
     second.close()
     assert first.state is DriveState.ENABLED
@@ -246,10 +250,8 @@ def test_a_host_that_lost_the_plc_to_another_stops_writing_and_says_so(program, 
     second.enable()
     until(lambda: first.fault is Fault.OWNER)
     assert first.state is DriveState.FAULT and not first.wait(0.01)
-    assert written(program) == {second.exchange.session}
-    with pytest.raises(
-        CarosacError, match=f"obeys another host, session {second.exchange.session}"
-    ):
+    assert written(program) == {second.exchange.number}
+    with pytest.raises(CarosacError, match=f"obeys another host, number {second.exchange.number}"):
         first.disable()
     assert program.machine.state is DriveState.ENABLED
     second.disable()

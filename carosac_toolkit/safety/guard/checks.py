@@ -51,6 +51,7 @@ class Checks:
         patience: Time for which measurements may stay the same [s].
         position: Platform position by the newest lengths in W [m], shape (3,), or None.
         tension: Equilibrium tension there [N], shape (n,), or None.
+        first_way: Whether the robot is on the first way after a new home, which is gone slowly.
     """
 
     def __init__(self, robot: Robot, settings: GuardSettings) -> None:
@@ -77,6 +78,8 @@ class Checks:
         self._equilibrium: statics.Equilibrium | None = None
         self.position: Array | None = None
         self.tension: Array | None = None
+        self.first_way = False
+        self._origin: Array | None = None
         self.standing(None)
 
     def prepare(self) -> None:
@@ -249,6 +252,7 @@ class Checks:
         except InvalidField as error:  # not a length
             return [Finding(fault=Fault.CLOSURE, text=str(error))]
         shift = self._tension_shift(measurement)
+        self._end_first_way()
         return [closure, shift, self._tension(measurement), self._workspace()]
 
     def _closure(self, lengths: Array) -> Finding | None:
@@ -276,10 +280,13 @@ class Checks:
         Lengths that follow their commands to the millimetre may still be wrong: a winch that turns
         the other way than the robot file says tilts the platform, and loads its cables crosswise.
         """
-        limit, measured = self._settings.tension_shift_max, measurement.tension
+        settings, measured = self._settings, measurement.tension
+        limit = settings.tension_shift_max
+        if limit is None and self.first_way:
+            limit = settings.first_shift_max
         if limit is None or measured is None or self.tension is None:
             return None
-        span = max(1, round(TENSION_MEAN_TIME_S / self._settings.period))
+        span = max(1, round(TENSION_MEAN_TIME_S / settings.period))
         self._shares = [*self._shares[1 - span :], measured.value[0] / self.tension]
         mean = np.mean(self._shares, axis=0)
         if self._expected is None or self._usual is None:
@@ -294,6 +301,15 @@ class Checks:
             "than its sign in the robot file, or by another scale?"
         )
         return Finding(fault=Fault.CLOSURE, text=text)
+
+    def _end_first_way(self) -> None:
+        """End the first way once the platform is far enough from where it stood."""
+        if not self.first_way or self.position is None:
+            return
+        if self._expected is None or self._origin is None:
+            self._origin = self.position.copy()
+        far = float(np.linalg.norm(self.position - self._origin))
+        self.first_way = far < self._settings.first_way
 
     def _tension(self, measurement: Measurement) -> Finding | None:
         """Check measured tensions, else those of rest where the lengths determine them."""

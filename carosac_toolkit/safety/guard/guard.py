@@ -191,29 +191,34 @@ class GuardedDriver(MotionDriver):
             check_no_fault_held(inner)
         self.measure()
         if moves:
-            self.home(start, anew=settings.home_anew or set_down)
+            placed = settings.home_confirmed or set_down  # who sets it down knows where it is
+            self.home(start, anew=settings.home_anew or set_down, confirmed=placed)
             self.enable()
         elif settings.rehearse and not settings.motion:
-            self.home(start, anew=settings.home_anew)
+            self.home(start, anew=settings.home_anew, confirmed=True)  # nothing moves
             self._ready_to_enable()
 
-    def home(self, position: State, *, anew: bool = False) -> None:
+    def home(self, position: State, *, anew: bool = False, confirmed: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.
 
         Args:
             position: A batch of one. Its lengths count if it has some; else those of the statics:
                 with six cables or more at its rotation, with fewer at that of rest.
             anew: Whether offsets may change by more than `GuardSettings.home_change_max`, such as
-                where they were never found before; only for a pose that was measured.
+                where they were never found before; only for a pose that was measured. Load cells,
+                IMU and pose measurement must then fit it.
+            confirmed: Whether a person vouches for such a pose, which is needed where those would
+                not notice an error of `GuardSettings.workspace_margin`.
 
         Raises:
             IllegalTransition: Not connected, or enabled.
-            NotReady: The lengths change, there is a fault, or an offset would change by too much.
+            NotReady: The lengths change, there is a fault, an offset would change by too much,
+                the senses contradict the pose, or nobody has confirmed it.
             InvalidField: No pose of rest.
         """
         with self._lock:
             self._life.allow("home")
-            self.homing.home(position, anew=anew)
+            self.homing.home(position, anew=anew, confirmed=confirmed)
 
     def enable(self) -> None:
         """Let commands through, from where the winches stand.

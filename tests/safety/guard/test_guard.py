@@ -568,7 +568,10 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
         guard.home(wrong)
     assert guard.state is DriveState.CONNECTED
     assert standing(guard) == pytest.approx(before, abs=2e-3)
-    guard.home(wrong, anew=True)
+    with pytest.raises(NotReady, match=r"encoders alone do not show .* --home-confirmed"):
+        guard.home(wrong, anew=True)
+    assert guard.state is DriveState.CONNECTED
+    guard.home(wrong, anew=True, confirmed=True)
     assert guard.state is DriveState.HOMED
     assert guard.home_change == pytest.approx((lengths_at(wrong.position[0]) - before)[0], abs=2e-3)
     guard.close()
@@ -576,7 +579,9 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
         at_once = guarded(start_position=tuple(wrong.position[0]))
         at_once.connect()
     assert at_once.state is DriveState.DISCONNECTED
-    connected(start_position=tuple(wrong.position[0]), home_anew=True).close()
+    with pytest.raises(NotReady, match="encoders alone"):
+        connected(start_position=tuple(wrong.position[0]), home_anew=True)
+    connected(start_position=tuple(wrong.position[0]), home_anew=True, home_confirmed=True).close()
 
 
 def test_a_dry_run_rehearses_homing_and_what_enabling_checks_and_sends_nothing():
