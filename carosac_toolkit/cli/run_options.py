@@ -62,7 +62,8 @@ class Options(CommonOptions):
     rate: float = 100.0
     """Commands a second, for a controller whose period can be chosen."""
     priority: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Run before all ordinary processes; on Linux, and with the right to it."""
+    """Run in real time: before all ordinary processes, with memory locked, the loop on an
+    isolated core, and garbage collected at rest only; on Linux, and with the right to it."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()

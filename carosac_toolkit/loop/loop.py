@@ -52,6 +52,7 @@ class Step:
         command: Command really sent.
         truth: State at the same time, or None if the driver does not know it.
         latency: Wall time of estimator and controller together [s].
+        durations: Wall time of ``measure``, ``estimator``, ``controller`` and ``command`` [s].
     """
 
     measurement: Measurement
@@ -61,6 +62,7 @@ class Step:
     command: Command
     truth: State | None
     latency: float
+    durations: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,13 +187,15 @@ def _cycles(
     start = float(measurement.time[0])
     applied = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
     belief: Belief | None = None
+    clock = time.perf_counter
     for k in count():
+        woken = clock()
         if k > 0:
             measurement = driver.measure()
         truth = driver.truth() if isinstance(driver, TruthSource) else None
         now = float(measurement.time[0]) - start
         reference = _reference(trajectory, controller, now, start)
-        began = time.perf_counter()
+        began = clock()
         first = belief is None
         with _blamed(driver, "estimator", estimator):
             estimate = (
@@ -202,15 +206,20 @@ def _cycles(
             belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):
             driver.believe(belief)
+        estimated = clock()
         with _blamed(driver, "controller", controller):
             if first:
                 controller.reset(belief)
             asked = _checked_command(controller.command(belief, reference), measurement)
-        latency = time.perf_counter() - began
+        decided = clock()
         applied = driver.command(asked)
         step = Step(
             measurement=measurement, belief=belief, reference=reference, asked=asked,
-            command=applied, truth=truth, latency=latency,
+            command=applied, truth=truth, latency=decided - began,
+            durations={
+                "measure": began - woken, "estimator": estimated - began,
+                "controller": decided - estimated, "command": clock() - decided,
+            },
         )  # fmt: skip
         steps.append(step)
         if watch is not None:

@@ -69,6 +69,7 @@ class Checks:
             link_patience += LINK_MARGIN_PERIODS * self._settings.period
         self.patience = max(STALE_TIME_S, link_patience) if asked is None else asked
         self._last: Measurement | None = None
+        self._newest: Measurement | None = None  # the last one whose samples were new
         self._held = False
         self._silent = 0
         self._count: Counter[Fault] = Counter()
@@ -95,7 +96,8 @@ class Checks:
     def standing(self, length: Array | None) -> None:
         """Take where the winches stand and are commanded to [m], shape (n,); None: no command."""
         self._expected = None if length is None else length.copy()
-        self._before: Array | None = None
+        self._before: Array | None = None  # what was expected at the newest sample
+        self._periods = 0  # since then
         self._start: tuple[Array, Array] | None = None  # where it was told to be, and was
         self._speed = np.zeros(self.robot.n)
         self._count.clear()
@@ -107,6 +109,7 @@ class Checks:
         share = -np.expm1(-self._settings.period / self.robot.winch_lag)
         self._expected = self._expected + share * (motion.length[0] - self._expected)
         self._speed = motion.speed[0]
+        self._periods += 1
 
     def measured(
         self, measurement: Measurement, *, homed: bool, held: bool = False
@@ -177,19 +180,24 @@ class Checks:
 
     def _jump(self, measurement: Measurement, *, still: bool) -> Finding | None:
         """Require lengths to change as commanded, and no faster than a winch turns."""
-        last, before = self._last, self._before
-        self._before = self._expected
-        if last is None:
+        newest, before, expected = self._newest, self._before, self._expected
+        passed = 0.0 if newest is None else _sampled(measurement) - _sampled(newest)
+        span = self._periods * self._settings.period
+        if newest is None or passed > 0.0:  # what is expected counts since the newest sample
+            self._newest, self._before, self._periods = measurement, expected, 0
+        if newest is None:
             return None
-        change = (measurement.unstrained_length - last.unstrained_length)[0]
-        passed = max(_sampled(measurement) - _sampled(last), 0.0)
-        if self._expected is not None and before is not None:
-            change = change - (self._expected - before)
-            period = self._settings.period
-            uneven = abs(passed - period) + 0.5 * period  # samples come when they come
-            allowed = self._settings.jump_max + uneven * np.abs(self._speed)
-        else:
-            allowed = self._settings.jump_max + (0.0 if still else passed) * self.robot.speed_max
+        change = (measurement.unstrained_length - newest.unstrained_length)[0]
+        allowed = np.full(self.robot.n, self._settings.jump_max)
+        if expected is None or before is None:
+            allowed += (0.0 if still else max(passed, 0.0)) * self.robot.speed_max
+        elif passed > 0.0:
+            asked, period = expected - before, self._settings.period
+            uneven = abs(passed - max(span, period)) + 0.5 * period  # samples come when they come
+            change = change - asked
+            allowed += uneven * np.maximum(np.abs(self._speed), np.abs(asked) / max(span, period))
+        else:  # the clock of the samples stands still
+            allowed += np.abs(expected - before)
         if (i := _worst(np.abs(change) - allowed)) is None:
             return None
         text = f"the length jumped by {change[i]:+.3f} m; allowed: {allowed[i]:.3f} m"

@@ -147,6 +147,11 @@ class GuardedDriver(MotionDriver):
         """Cycles since `connect` whose command took longer than a period, in real time."""
         return self.cycles.late
 
+    @property
+    def at_rest(self) -> bool:
+        """True while this host moves no winch."""
+        return not self._life.live or self.commander.at_rest
+
     def connect(self) -> None:
         """Connect the driver behind; home and enable at once where the settings say so.
 

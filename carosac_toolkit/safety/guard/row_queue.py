@@ -25,6 +25,7 @@ class RowQueue:
 
     Attributes:
         lost: Rows that were given up: there was no room, or the journal failed.
+        waited: Time spent in `written` [s].
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class RowQueue:
         self._wake = threading.Condition()
         self._done = threading.Condition(self._wake)  # rows finished, by the same lock
         self._put = self._finished = 0
+        self.waited = 0.0
         self._thread: threading.Thread | None = None
         self._writing: float | None = None  # when the row was put that the journal is at
         self._ending = False
@@ -72,9 +74,11 @@ class RowQueue:
         Args:
             timeout: Longest wait for that [s].
         """
+        began = time.monotonic()
         with self._wake:
             last = self._put
             self._done.wait_for(lambda: self._finished >= last or self._broken is not None, timeout)
+            self.waited += time.monotonic() - began
             return self._finished >= last and self._broken is None
 
     def put(self, method: Callable[..., None], *arguments: Any, **named: Any) -> None:

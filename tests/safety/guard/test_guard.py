@@ -303,6 +303,24 @@ def test_a_fault_is_named_and_all_cables_come_to_rest_within_the_limits(cause, f
     guard.close()
 
 
+def test_samples_that_come_late_while_it_brakes_are_no_jump():
+    """The motion since the newest sample is that of faster cycles than the present one."""
+    guard = connected(following_max=9.0, direction_max=9.0, closure_max=9.0)
+    drive(guard, 40, speed=1.5)
+    original, kept = guard.inner.measure, []
+
+    def late():
+        kept.append(original())
+        shown = kept[1] if 2 < len(kept) <= 6 else kept[-1]  # four periods without a sample
+        return replace(shown, time=kept[-1].time)
+
+    guard.inner.measure = late
+    guard.stop("SIGINT")
+    assert len(kept) > 8
+    assert guard.fault is None, guard.fault
+    guard.close()
+
+
 class SilentDriver(FailingDriver):
     """A robot behind a link: once `since` is set no sample comes, while the clock goes on."""
 
