@@ -8,8 +8,8 @@ import pytest
 
 from carosac_toolkit.plc.blocks import TO_HOST, TRUTH
 from carosac_toolkit.plc.exchange import PlcExchange
-from carosac_toolkit.plc.link import LinkError
 from carosac_toolkit.plc.identity import machine_values
+from carosac_toolkit.plc.link import LinkError
 from tests.plc.test_writing import ROBOT, Program, until
 
 PERIOD = 0.02
