@@ -110,7 +110,7 @@ def _prepared(options: Options) -> Iterator[None]:
 def _run(
     options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
     statistics: Statistics,
-) -> tuple[bool, Exception | None]:  # fmt: skip
+) -> tuple[bool, BaseException | None]:  # fmt: skip
     """Run the loop; return whether it came to its end, and an error once it was connected."""
     duration = options.duration
     if duration is None:
@@ -120,8 +120,8 @@ def _run(
             guard, estimator, controller, path, duration=duration, watch=statistics, keep=1,
             by_clock=True,
         )  # fmt: skip
-    except Exception as error:
-        if guard.fault is None and statistics.cycles == 0:
+    except BaseException as error:
+        if guard.fault is None and (statistics.cycles == 0 or isinstance(error, KeyboardInterrupt)):
             raise
         if not isinstance(error, CarosacError):
             traceback.print_exc()
@@ -157,7 +157,7 @@ def _say_next_step(guard: GuardedDriver, options: Options) -> None:
 
 def _result(
     guard: GuardedDriver, statistics: Statistics, recorder: CrashSafeRecorder, ending: Ending,
-    completed: bool, error: Exception | None,
+    completed: bool, error: BaseException | None,
 ) -> CommandResult:  # fmt: skip
     """Say how the run ended, and return it."""
     fault = guard.fault
@@ -179,6 +179,7 @@ def _result(
         "recording": str(recorder.path),
         "rows": recorder.rows,
         "unrecorded_rows": guard.unrecorded,
+        "commands_before_row": guard.monitor.unwritten,
     }
     where = "" if statistics.position is None else f"platform at {place(statistics.position)}\n"
     say(f"{reason}\n{where}{statistics.cycles} cycles, {guard.overruns} late; limited: "

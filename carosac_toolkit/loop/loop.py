@@ -13,7 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.plugin_errors import BadPlugin, exit_refused
 from carosac_toolkit.loop.protocols import Controller, Driver, Estimator, Supervisor, TruthSource
 from carosac_toolkit.loop.values import (
     Belief,
@@ -24,10 +25,6 @@ from carosac_toolkit.loop.values import (
     Reference,
     State,
 )
-
-
-class BadPlugin(CarosacError):
-    """A controller or estimator that returned something the loop cannot use."""
 
 
 class ReferenceSource(Protocol):
@@ -167,7 +164,7 @@ def run(
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
-        if isinstance(error, Exception) and isinstance(driver, Supervisor):
+        if isinstance(error, Exception | SystemExit) and isinstance(driver, Supervisor):
             driver.fail("program", error)
         raise
     finally:
@@ -196,7 +193,7 @@ def _cycles(
         reference = _reference(trajectory, controller, now, start)
         began = time.perf_counter()
         first = belief is None
-        with _blamed(driver, "estimator"):
+        with _blamed(driver, "estimator", estimator):
             estimate = (
                 estimator.reset(measurement)
                 if belief is None
@@ -205,7 +202,7 @@ def _cycles(
             belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):
             driver.believe(belief)
-        with _blamed(driver, "controller"):
+        with _blamed(driver, "controller", controller):
             if first:
                 controller.reset(belief)
             asked = _checked_command(controller.command(belief, reference), measurement)
@@ -236,11 +233,12 @@ class _Over:
 
 
 @contextmanager
-def _blamed(driver: Driver, part: str) -> Iterator[None]:
+def _blamed(driver: Driver, part: str, plugin: object) -> Iterator[None]:
     """Tell a supervising driver which part raised an error."""
     try:
-        yield
-    except Exception as error:
+        with exit_refused(part, plugin):
+            yield
+    except (Exception, KeyboardInterrupt) as error:
         if isinstance(driver, Supervisor):
             driver.fail(part, error)
         raise

@@ -19,6 +19,8 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 STALE_TIME_S = 0.08  # eight periods of 10 ms
+SAMPLE_AGE_S = 0.05  # allowed for in `GuardSettings.step`, beside the lag of the winches
+LINK_MARGIN_PERIODS = 3.0  # cycles are counted, and those of a start come early
 LAG_SPREAD_S = 0.03  # lags differ by this much, besides the age of a sample
 TENSION_MEAN_TIME_S = 0.5  # the platform tilts to and fro at some Hz
 FAULT_DURATION_S = 0.03  # three periods of 10 ms: one wrong sample stops nobody
@@ -56,11 +58,15 @@ class Checks:
         """Set up for a driver that waits for its robot no longer than the checks do."""
         self.robot = robot
         self._settings = settings
+        self._step = settings.step(robot)
+        self._speed_max = settings.slowed(robot).speed_max
         self.restart(link_patience=0.0)
 
     def restart(self, *, link_patience: float) -> None:
         """Forget all samples; `link_patience`: how long the driver waits for its robot [s]."""
         asked = self._settings.stale_time
+        if link_patience > 0.0:  # the driver says first whether its link is lost or data stale
+            link_patience += LINK_MARGIN_PERIODS * self._settings.period
         self.patience = max(STALE_TIME_S, link_patience) if asked is None else asked
         self._last: Measurement | None = None
         self._held = False
@@ -138,9 +144,11 @@ class Checks:
             text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         far = np.abs(asked[0] - standing)
-        limit, which = settings.step(robot), "a command"
+        # a late sample is no fault of the controller; one that is too late has a name of its own
+        late = max(self._age(self._last) - SAMPLE_AGE_S, 0.0)
+        limit, which = self._step + late * self._speed_max, "a command"
         if first:
-            limit, which = np.minimum(settings.first_max, limit), "the first command"
+            limit, which = np.minimum(settings.first_max, self._step), "the first command"
         if (k := _worst(far - limit)) is not None:
             text = f"{which} is {far[k]:.3f} m from where the winch stands; allowed: {limit[k]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=k)
@@ -207,8 +215,13 @@ class Checks:
 
     def _late(self, measurement: Measurement) -> Array:
         """Return motion that differing lags and the age of a sample explain [m], shape (n,)."""
-        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
-        return np.asarray((LAG_SPREAD_S + age) * np.abs(self._speed))
+        return np.asarray((LAG_SPREAD_S + self._age(measurement)) * np.abs(self._speed))
+
+    def _age(self, measurement: Measurement | None) -> float:
+        """Return the age of a sample [s], as far as it may go unnoticed."""
+        if measurement is None:
+            return 0.0
+        return float(np.clip(measurement.time[0] - _sampled(measurement), 0.0, self.patience))
 
     def _following(self, measurement: Measurement) -> Finding | None:
         """Require winches to be where they were commanded to be, after their lag."""

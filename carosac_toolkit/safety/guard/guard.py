@@ -37,6 +37,7 @@ from carosac_toolkit.safety.guard.inner import (
     build_inner,
     check_no_fault_held,
     error_finding,
+    interrupted_by_operator,
     plugin_finding,
     reset_held_fault,
 )
@@ -304,9 +305,12 @@ class GuardedDriver(MotionDriver):
     def fail(self, part: str, error: BaseException) -> None:
         """Latch an error of the estimator, the controller or, while the winches follow, all else.
 
-        Where a fault is latched already, that is the cause.
+        Where a fault is latched already, that is the cause. An operator who interrupts the program
+        is none.
         """
         if part == "program" and not self._life.live:
+            return
+        if isinstance(error, KeyboardInterrupt) and interrupted_by_operator(self.ending):
             return
         with self._lock:
             self.monitor.latch(plugin_finding(part, error))
@@ -345,9 +349,7 @@ class GuardedDriver(MotionDriver):
         if self.monitor.sent:
             raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
         self._life.go(DriveState.FOLLOWING)
-        sent = self.commander.follow(command, actual)
-        self.monitor.note(self.journal.sent, command, sent, really=True)
-        return sent
+        return self.commander.follow(command, actual)
 
     def _dry_run(self, command: Command, held: Array) -> Command:
         """Limit and journal a command; return that the winches hold."""
