@@ -272,9 +272,8 @@ class CableEnvironment:
         self._take_targets(np.arange(len(self._paths)))
         self._step = state["step"].copy()
         self._last_action = state["last_action"].copy()
-        for name in ("mean_error", "lasting_error"):
-            if name in state:  # older checkpoints lack what their policies do not use
-                setattr(self, f"_{name}", state[name].copy())
+        self._mean_error = state["mean_error"].copy()
+        self._lasting_error = state["lasting_error"].copy()
         self._asked = state["asked"].copy()
         self._reached = state["reached"]
         self._rng.bit_generator.state = state["rng"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -131,13 +130,13 @@ class Sensing:
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes."""
-        sensors = copy.deepcopy(self._sensors)
+        sensors = self._sensors.state()
         return {"sensors": sensors, "beliefs": list(self._beliefs), "now": self._now}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there; the simulator has been restored before."""
         self._plant.look()
-        self._sensors = copy.deepcopy(state["sensors"])
+        self._sensors.restore(state["sensors"])
         self._beliefs = list(state["beliefs"])
         self._now = state["now"]
 

@@ -153,11 +153,7 @@ def restore_state(model: StagedTd3, state: dict[str, Any]) -> None:
     model._n_updates = state["updates"]
     model._episode_num = state["episodes"]
     model._current_progress_remaining = state["progress"]
-    kept = dict(state["buffer"])
-    if "inconsistencies" in kept:  # of a checkpoint that knew no price of slack
-        weight = model.env.environment.settings.reward.consistency
-        kept["lengths_misfits"] = weight * kept.pop("inconsistencies")
-    for name, values in kept.items():
+    for name, values in state["buffer"].items():
         getattr(buffer, name)[: len(values)] = values
     buffer.pos, buffer.full = state["buffer_position"]
     model._last_obs = state["last_observation"]

@@ -1,8 +1,8 @@
 """Training of one stage: checkpoints, resuming, a learning curve and the exported policy.
 
-A folder holds all of it: ``settings.json``, ``curve.csv``, ``episodes.csv``, ``checkpoint.pt``,
-TensorBoard's events and, at the end, ``policy.onnx``. A training that was killed goes on from its
-checkpoint as if it had not been, bit by bit.
+A folder holds all of it: ``settings.json``, ``curve.csv``, ``episodes.csv``,
+``checkpoint.safetensors``, TensorBoard's events and, at the end, ``policy.onnx``. A training that
+was killed goes on from its checkpoint as if it had not been, bit by bit.
 """
 
 from __future__ import annotations
@@ -18,10 +18,18 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
+from learned.checkpoint import (
+    CHECKPOINT_FILE,
+    packages_of,
+    read_checkpoint,
+    refuse_old_checkpoint,
+    refusing_damage,
+    write_checkpoint,
+)
 from learned.delayed_signals import delayed_signals
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import (
@@ -45,7 +53,7 @@ from learned.training_record import (
     digest,
 )
 
-CHECKPOINT_FILE, POLICY_FILE = "checkpoint.pt", "policy.onnx"
+POLICY_FILE = "policy.onnx"
 TEST_SEED = 2_000_003  # of the paths on which the learning curve is measured
 TEST_PATHS = 64
 TEST_SET_POINTS = 40  # of a path of set-points
@@ -148,6 +156,7 @@ def train(
 def _finished(job: TrainingJob, folder: Path) -> bool:
     """Return whether a folder holds the policy of all steps of this very training."""
     check_settings(job.settings_as_json(), folder)
+    refuse_old_checkpoint(folder)
     if not all((folder / name).is_file() for name in (POLICY_FILE, CHECKPOINT_FILE, CURVE_FILE)):
         return False
     rows = read_curve(folder / CURVE_FILE)
@@ -198,6 +207,7 @@ class _Run:
         known = check_settings(settings, self.folder)
         checkpoint, earlier = self.folder / CHECKPOINT_FILE, None
         if self.job.start is not None and not checkpoint.exists():
+            refuse_old_checkpoint(self.job.start.parent)
             earlier = check_start(settings, self.job.start, self.job.start_changes)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.model.set_logger(configure(str(self.folder), ["tensorboard"]))
@@ -313,43 +323,36 @@ class _Run:
 
     def _save(self) -> None:
         """Write the checkpoint, as a whole or not at all, and the tables as they are in it."""
-        import torch
-
         from learned.td3 import state_of
 
         state = state_of(self.model) | {
-            "rows": self.rows, "ended": [tuple(one) for one in self.episodes],
-            "cpu_seconds": self.spent,
+            "rows": self.rows, "cpu_seconds": self.spent,
+            "ended": np.array(self.episodes, dtype=np.float64).reshape(-1, len(Episode._fields)),
         }  # fmt: skip
-        part = self.folder / (CHECKPOINT_FILE + ".part")
-        torch.save(state, part)
-        part.replace(self.folder / CHECKPOINT_FILE)
+        write_checkpoint(self.folder / CHECKPOINT_FILE, state)
         self._write_tables()
 
     def _restore(self, checkpoint: Path) -> None:
         """Go on from a checkpoint."""
-        import torch
+        from learned.td3 import restore_state, state_of
 
-        from learned.td3 import restore_state
-
-        state = torch.load(checkpoint, weights_only=False)
-        if "ended" not in state:
-            allowed = "a checkpoint with its episodes, which older versions did not keep"
-            raise InvalidField("output", f"'{checkpoint}'", allowed)
-        self.rows = state["rows"]
-        self.episodes = [Episode(*one) for one in state["ended"]]
-        self.before = state["cpu_seconds"]
-        restore_state(self.model, state)
+        fresh = state_of(self.model)
+        names = [*fresh, "rows", "ended", "cpu_seconds"]
+        state = read_checkpoint(checkpoint, names, packages_of(fresh))
+        with refusing_damage(checkpoint):
+            self.rows = state["rows"]
+            self.episodes = [Episode(int(k), float(r), int(n)) for k, r, n in state["ended"]]
+            self.before = state["cpu_seconds"]
+            restore_state(self.model, state)
 
     def _start_from(self, earlier: TrainingRecord) -> dict[str, Any]:
         """Take over the networks of an earlier stage; everything else starts anew."""
-        import torch
-
         from learned.td3 import take_networks
 
         assert self.job.start is not None
-        state = torch.load(self.job.start, weights_only=False)
-        networks = take_networks(self.model, state)
+        state = read_checkpoint(self.job.start, ("parameters", "steps"), ())
+        with refusing_damage(self.job.start):
+            networks = take_networks(self.model, state)
         return earlier.as_start(self.job.settings()["start"], state["steps"], networks)
 
 

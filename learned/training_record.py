@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.base.files import replacing
 
 SETTINGS_FILE = "settings.json"
@@ -100,11 +100,19 @@ def read_record(folder: Path) -> TrainingRecord | None:
     """Read the record of a training; return None where there is none.
 
     Settings that came later than the training change nothing in it, and are there by default.
+
+    Raises:
+        InvalidFile: It is damaged.
     """
     path = folder / SETTINGS_FILE
     if not path.is_file():
         return None
-    settings = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InvalidFile(path, [f"not a JSON document: {error}"]) from error
+    if not isinstance(settings, dict) or not isinstance(settings.get("changes", ""), str):
+        raise InvalidFile(path, ["not the settings of a training"])
     history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
     commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
     return TrainingRecord(

@@ -21,10 +21,11 @@ from carosac_toolkit.studies.run.cluster import usable_cores
 from carosac_toolkit.studies.run.folder import free_folder
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
+from learned.checkpoint import CHECKPOINT_FILE
 from learned.learning_curve import CURVE_COLUMNS, CURVE_FILE, read_curve
 from learned.presets import Stage, find_preset
 from learned.setting_changes import changed, concerned, label_of
-from learned.training import CHECKPOINT_FILE, POLICY_FILE, TrainingJob, train
+from learned.training import POLICY_FILE, TrainingJob, train
 
 CASE_FUNCTION = "learned.training_study:train_case"
 CPU_DEVICE = "cpu"  # of studies that do not say where

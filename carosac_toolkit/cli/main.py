@@ -110,8 +110,16 @@ def _run(name: str, words: list[str]) -> int:
     options = parse_options(module, name.replace(".", " "), words)
     check_outputs(options)
     json_path: Path | None = getattr(options, "json", None)
-    with plain_output():
-        answer = module.run(options)
+    try:
+        with plain_output():
+            answer = module.run(options)
+    except SystemExit as error:
+        if error.code:
+            raise
+        # status 0, although the command has not done its work
+        raise CarosacError(
+            f"{name}: ended by sys.exit({error.code!r}) in code it called"
+        ) from error
     result = answer if isinstance(answer, CommandResult) else CommandResult(status=int(answer))
     if json_path is not None:
         write_json(json_path, result.data)

@@ -6,6 +6,8 @@ given. With --control each line of the standard input does something to the mach
 `trip 2 off`, `jump 1 0.05`, `freeze-counter on`, `freeze-data on`, `network 0.02 0.01`,
 `estop on`, `place 0.4 -1.8 2.2`, `clear`, `state`, `quit`; the end of the input ends it.
 
+With --print-machine it prints what a real PLC program declares for this robot, and ends.
+
 Exit status 1 means that more than one cycle in ten was late.
 """
 
@@ -28,6 +30,7 @@ from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.emulator import Emulator
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings
+from carosac_toolkit.plc.identity import declaration, hash_text, machine_values
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
@@ -78,6 +81,9 @@ class Options(CommonOptions):
     `reversed_drive=CABLE` (the drive alone), by name or number; may be given several times."""
     control: bool = False
     """Read lines of the standard input that do something to the machine."""
+    print_machine: bool = False
+    """Print the constants `ST_Machine` of the robot file as Structured Text for the program of a
+    real PLC, and end."""
 
 
 def run(options: Options) -> CommandResult:
@@ -88,6 +94,11 @@ def run(options: Options) -> CommandResult:
     if options.priority:
         take_priority("carosac plc")
     nominal = load_robot(options.robot)
+    if options.print_machine:
+        print(declaration(nominal))
+        values = machine_values(nominal)
+        return CommandResult(values | {"hash": hash_text(values["hash"]),
+                                       "name": list(nominal.cable_names)})  # fmt: skip
     condition = find_condition(options.condition)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
     settings = EmulatorSettings(
@@ -166,7 +177,7 @@ def obey(emulator: Emulator, line: str) -> str:
     if word == "state":
         machine = emulator.machine
         state = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
-        return json.dumps(state | {"owner": machine.owner or None})  # the session it obeys
+        return json.dumps(state | {"owner": machine.owner or None})  # the host it obeys
     kinds = {kind.name.lower().replace("_", "-"): kind for kind in Injection if kind}
     if word not in kinds:
         raise InvalidField("control", repr(line.strip()), f"{', '.join(kinds)}, state, quit")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
 RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
+_CHANGING = ("encoder_bias", "_tension_bias", "_imu_bias", "_reading", "_measured")
 
 
 class SensorSuite:
@@ -121,6 +123,26 @@ class SensorSuite:
                 imu=self._measured_imu(now) if "imu" in self._lines else None,
             )
         return self._measured
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that changes, as arrays, numbers and values of the loop."""
+        values = {name: getattr(self, name) for name in _CHANGING}
+        streams = {
+            name: [one.bit_generator.state for one in parts] for name, parts in self._rng.items()
+        }
+        lines = {name: line.state() for name, line in self._lines.items()}
+        return copy.deepcopy(values | {"streams": streams, "lines": lines})
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a suite of the same sensors and size."""
+        state = copy.deepcopy(state)
+        for name in _CHANGING:
+            setattr(self, name, state[name])
+        for name, parts in self._rng.items():
+            for one, known in zip(parts, state["streams"][name], strict=True):
+                one.bit_generator.state = known
+        for name, line in self._lines.items():
+            line.restore(state["lines"][name])
 
     def _draw(self, stream: str, count: int) -> Array:
         """Draw standard normal numbers of a stream, shape (B, count)."""

@@ -144,6 +144,14 @@ class DelayLine:
             samples.append(self._samples.popleft())
         return samples
 
+    def state(self) -> dict[str, Any]:
+        """Return what changes; the samples are not copied."""
+        return {"count": self._count, "samples": list(self._samples)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state; its samples become those of this line."""
+        self._count, self._samples = state["count"], deque(state["samples"])
+
 
 def check_suite(suite: str, *, inertial: bool) -> None:
     """Refuse an unknown suite, or an IMU on a plant without inertia.

@@ -321,6 +321,7 @@ class Ads(_Section):
     timeout: Annotated[float, _reads("s", "> 0")] = 0.05
     from_host: Text = "CaRoSaC.from_host"
     to_host: Text = "CaRoSaC.to_host"
+    machine: Text = "CaRoSaC.machine"
 
 
 class AdsCable(_Section):
@@ -337,6 +338,7 @@ class ImuInput(_Section):
     source: Literal["udp"]
     ip: Text = "127.0.0.1"
     port: Port
+    sender: Text | None = None
 
 
 class HardwareInput(_Section):

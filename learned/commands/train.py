@@ -29,10 +29,11 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE
+from learned.checkpoint import CHECKPOINT_FILE
 from learned.learning_curve import CURVE_FILE, read_curve
 from learned.presets import Preset, Stage, find_preset
 from learned.setting_changes import check_changes, read_changes, read_variations
-from learned.training import CHECKPOINT_FILE, TrainingJob, train
+from learned.training import TrainingJob, train
 from learned.training_record import SETTINGS_FILE
 from learned.training_study import CPU_DEVICE, TrainingRun, TrainingStudy, check_stages, free_study
 

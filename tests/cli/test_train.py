@@ -34,13 +34,13 @@ def test_both_stages_leave_a_policy_and_a_curve(trained):
             "settings.json",
             "curve.csv",
             "episodes.csv",
-            "checkpoint.pt",
+            "checkpoint.safetensors",
             "policy.onnx",
         } <= files
     settings = json.loads((trained / "out" / "sag" / "settings.json").read_text())
     assert settings["environment"]["world"] == "settle"
     assert settings["td3"]["steps"] == 700
-    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
+    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.safetensors"
     assert settings["started_from"]["steps"] >= 700
 
 
@@ -148,7 +148,7 @@ def test_a_later_stage_may_be_changed_alone(tmp_path, capsys):
     assert main([*words, "--stage", "sag", *more]) == 2
     said = capsys.readouterr().err
     assert "trained with no changes; allowed: one trained with no_sag.rate_end=0.3" in said
-    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
+    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.safetensors"
 
 
 def test_steps_are_said_once(capsys):

@@ -13,7 +13,7 @@ from learned.exploration import DecayingNoise
 from learned.metric_policy import MetricCritic
 from learned.presets import PRESETS, Td3Settings
 from learned.relabelling import RelabellingBuffer
-from learned.td3 import build_model, layers_of, restore_state, state_of
+from learned.td3 import build_model, layers_of
 from learned.vector_environment import CableVecEnv
 from tests.robots import simple_robot
 
@@ -36,19 +36,6 @@ def test_the_presets_get_what_their_settings_say():
     assert isinstance(ours.replay_buffer, RelabellingBuffer)
     assert isinstance(ours.actor.mu[1], torch.nn.SiLU)
     assert isinstance(paper.actor.mu[1], torch.nn.ReLU)
-
-
-def test_a_checkpoint_from_before_slack_was_priced_goes_on():
-    model = built()
-    model.learn(100)
-    state = state_of(model)
-    kept = state["buffer"]["lengths_misfits"]
-    assert kept.any()
-    state["buffer"]["inconsistencies"] = state["buffer"].pop("lengths_misfits")
-    other = built()
-    other._setup_learn(100)
-    restore_state(other, state)
-    np.testing.assert_array_equal(other.replay_buffer.lengths_misfits[: len(kept)], kept)
 
 
 def test_actor_and_critic_have_rates_of_their_own_that_fall_linearly():

@@ -12,11 +12,14 @@ pytest.importorskip("onnxruntime")
 
 import torch
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.robot.file import load_robot
+from learned import checkpoint as checkpoints
 from learned import training
+from learned.checkpoint import CHECKPOINT_FILE, read_checkpoint, write_checkpoint
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
+from learned.moving_worlds import MovingSettings
 from learned.policy_file import Policy
 from learned.presets import PRESETS, Stage, Td3Settings
 from learned.rewards import RewardSettings
@@ -33,6 +36,7 @@ FIT = replace(
     TINY, discount=0.0, critic="metric", critics=1, relabelled=0.8, activation="silu", rate_end=0.02
 )
 SHORT = PathSettings(steps=30, pool=6)
+ESTIMATED = MovingSettings(estimator="dynamic_estimator", estimated=0.5)
 STAGES = {
     "value": Stage(environment=EnvironmentSettings(path=SHORT), td3=TINY),
     "metric": Stage(
@@ -44,6 +48,13 @@ STAGES = {
     "realtime": Stage(
         environment=EnvironmentSettings(
             world="realtime", action="push", path=replace(SHORT, period=0.05),
+            observation=("error", "velocity", "tilt"), reward=RewardSettings(terms=("tracking",)),
+        ),
+        td3=TINY,
+    ),
+    "estimated": Stage(
+        environment=EnvironmentSettings(
+            world="realtime", action="push", path=replace(SHORT, period=0.05), moving=ESTIMATED,
             observation=("error", "velocity", "tilt"), reward=RewardSettings(terms=("tracking",)),
         ),
         td3=TINY,
@@ -63,8 +74,11 @@ def job(kind="metric", **changes):
     return replace(made, **changes)
 
 
+PARTS = ("parameters", "buffer", "noise", "last_observation", "numpy", "torch", "python", "steps")
+
+
 def checkpoint(folder):
-    return torch.load(folder / training.CHECKPOINT_FILE, weights_only=False)
+    return read_checkpoint(folder / CHECKPOINT_FILE, PARTS, ())
 
 
 def flat(value, name=""):
@@ -80,7 +94,7 @@ def flat(value, name=""):
 
 def assert_same_state(first, second):
     """Networks, optimizers, replay, noise and both tables, but for the time they took."""
-    for name in ("parameters", "buffer", "noise", "last_observation", "numpy"):
+    for name in PARTS:
         one, other = flat(checkpoint(first)[name]), flat(checkpoint(second)[name])
         assert set(one) == set(other)
         for key in one:
@@ -104,6 +118,54 @@ def test_a_seed_repeats_and_kill_and_resume_is_no_kill_bit_for_bit(tmp_path, kin
         torch.manual_seed(stop)
     train(job(kind), tmp_path / "killed")
     assert_same_state(tmp_path / "whole", tmp_path / "killed")
+
+
+class Planted:
+    """What a pickle can hold: reading it writes a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def test_a_planted_checkpoint_runs_no_code_and_is_refused(tmp_path):
+    train(job(), tmp_path, stop_after=40)
+    torch.save(Planted(tmp_path / "ran"), tmp_path / CHECKPOINT_FILE)
+    with pytest.raises(InvalidFile, match=r"(?s)checkpoint\.safetensors: .*begin again"):
+        train(job(), tmp_path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_training_of_an_older_version_is_refused_before_its_checkpoint_is_read(tmp_path):
+    train(job(), tmp_path, stop_after=40)
+    (tmp_path / CHECKPOINT_FILE).unlink()
+    torch.save(Planted(tmp_path / "ran"), tmp_path / checkpoints.OLD_CHECKPOINT_FILE)
+    for again in (job(), job(start=tmp_path / CHECKPOINT_FILE)):
+        with pytest.raises(InvalidField, match=r"without checkpoint\.pt.*begin again in another"):
+            train(again, tmp_path / ("later" if again.start else ""))
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("where", [10, 0.3, 0.6, 0.99])
+def test_a_checkpoint_with_one_byte_changed_or_cut_is_refused(tmp_path, where):
+    train(job(), tmp_path, stop_after=120)
+    path = tmp_path / CHECKPOINT_FILE
+    content = bytearray(path.read_bytes())
+    place = where if isinstance(where, int) else int(where * len(content))
+    content[place] ^= 1
+    for damaged in (bytes(content), bytes(content[:place])):
+        path.write_bytes(damaged)
+        with pytest.raises(InvalidFile, match="begin again"):
+            train(job(), tmp_path)
+
+
+def test_a_checkpoint_of_other_contents_is_refused_with_its_name(tmp_path):
+    train(job(), tmp_path, stop_after=40)
+    write_checkpoint(tmp_path / CHECKPOINT_FILE, {"steps": "many"})
+    with pytest.raises(InvalidFile, match=r"(?s)checkpoint\.safetensors: .*parameters"):
+        train(job(), tmp_path)
 
 
 def stopped_at(steps, number, folder):
@@ -249,7 +311,7 @@ def test_a_folder_with_other_settings_is_refused(tmp_path):
 
 def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_path):
     train(job(), tmp_path / "first", stop_after=160)
-    following = settling(start=tmp_path / "first" / training.CHECKPOINT_FILE)
+    following = settling(start=tmp_path / "first" / CHECKPOINT_FILE)
     run = training._Run(following, tmp_path / "second", None)
     run.begin()
     before = checkpoint(tmp_path / "first")["parameters"]
@@ -261,7 +323,7 @@ def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_pa
         assert not part.optimizer.state_dict()["state"]
     assert run.model.num_timesteps == 0 and run.model.replay_buffer.size() == 0
     started = read_record(tmp_path / "second").started_from
-    assert started["checkpoint"] == "first/checkpoint.pt"
+    assert started["checkpoint"] == "first/checkpoint.safetensors"
     assert (started["steps"], started["of_steps"]) == (160, TINY.steps)
     assert started["commits"] == list(read_record(tmp_path / "first").commits)
     assert started["robot_digest"] == job().settings()["robot_digest"]
@@ -281,14 +343,14 @@ def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_pa
 )
 def test_a_stage_refuses_a_foreign_start_and_leaves_no_folder(tmp_path, changes, named):
     train(job(), tmp_path / "first", stop_after=40)
-    foreign = job(start=tmp_path / "first" / training.CHECKPOINT_FILE, **changes)
+    foreign = job(start=tmp_path / "first" / CHECKPOINT_FILE, **changes)
     with pytest.raises(InvalidField, match=f"start: got .*first.*; {named} differ"):
         train(foreign, tmp_path / "second")
     assert not (tmp_path / "second").exists()
 
 
 def test_a_start_that_is_not_there_or_does_not_say_what_it_is_is_refused(tmp_path):
-    start = tmp_path / "first" / training.CHECKPOINT_FILE
+    start = tmp_path / "first" / CHECKPOINT_FILE
     with pytest.raises(MissingFile, match="train the earlier stage first"):
         train(job(start=start), tmp_path / "second")
     train(job(), tmp_path / "first", stop_after=40)

@@ -15,7 +15,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies import Case
 from learned import training_study
-from learned.training import CHECKPOINT_FILE, train
+from learned.checkpoint import CHECKPOINT_FILE, read_checkpoint
+from learned.training import train
 from learned.training_study import TrainingRun, TrainingStudy, check_stages, free_study, train_case
 
 SMALL = {"td3.hidden": [16, 16], "td3.environments": 8, "environment.path.steps": 20}
@@ -28,7 +29,7 @@ def some_trainings(seeds=(0, 1), **more):
 
 
 def networks(folder):
-    state = torch.load(folder / "no_sag" / CHECKPOINT_FILE, weights_only=False)
+    state = read_checkpoint(folder / "no_sag" / CHECKPOINT_FILE, ["parameters"], ())
     return state["parameters"]["policy"]
 
 
