@@ -1,21 +1,24 @@
 """Each fault at random times while `carosac run` follows a circle on the emulated PLC.
 
-``python -m benchmarks.hardware_faults [times] [fault ...]``; 20 times each makes RESULTS.md.
-Host and PLC are processes of their own, and are really killed and frozen. What the winches do is
-seen from the PLC's side, through a connection of its own.
+``python -m benchmarks.hardware_faults [times] [fault ...] [--jobs N]``; 60 times each makes
+RESULTS.md. Host and PLC are processes of their own, and are really killed and frozen. Between them
+is a proxy (`benchmarks.fault_wire`) that sees every command and can disturb the connection; a
+reader of its own sees every set point, and `benchmarks.fault_judge` judges them. Neither the
+counters of the PLC nor those of the driver are asked.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 import traceback
-import warnings
 from collections import Counter
 from collections.abc import Callable
 from ctypes import c_int
@@ -29,30 +32,32 @@ import numpy as np
 import carosac_toolkit as ct
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
+from benchmarks import fault_judge
+from benchmarks.fault_wire import Disturbance, Observer, layout, observed
 from benchmarks.results import table, write_section
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli import run as run_command
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
-from carosac_toolkit.plc import blocks
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.plc.emulator.emulator import Emulator
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings
-from carosac_toolkit.recordings.crash_safe import read_run
 from carosac_toolkit.robot.file import parse_robot, robot_text
 
-TIMES = 20
-PATIENCE = 12.0  # [s] for anything to happen
+TIMES = 60
+PATIENCE_S = 12.0  # for anything to happen
 MOVING = 0.1  # [m/s] from which on a fault may come
-NOTICED = 0.2  # [s] of silence that either side takes for a fault: other programs run here
-STATED = 1.0  # [s] from the fault to rest: to notice it, 0.5 s from 2.5 m/s, and the machine
+SILENCE_S = 0.2  # that either side takes for a fault: other programs run here
+STATED_S = 1.0  # from the fault to rest: to notice it, 0.5 s from 2.5 m/s, and the machine
+AFTER_REST_S = 0.5  # for which the winches are watched after a stop
 NOT_HELD = ("PLC killed", "Ctrl-C")  # nobody is left who could hold the fault, or there is none
+ALONE = ("drive trip",)  # one winch is stopped by its brake: no common ramp
 ASKED = "then reset"  # what a start says that a fault of before refuses
-OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
-NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES = range(6)
+NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES, EXITS = range(7)
 WHAT = Value(c_int, NOTHING)  # what controller and estimator do wrong, from the parent process
+DISTURBANCE = Value(c_int, Disturbance.NONE)  # what the proxy does
 
 
 class Wrong(KinematicSolverController):
@@ -65,6 +70,8 @@ class Wrong(KinematicSolverController):
             raise ZeroDivisionError("a bug")
         if WHAT.value == HANGS:
             time.sleep(30.0)
+        if WHAT.value == EXITS:
+            sys.exit()
         lengths = np.array(asked.unstrained_length)
         if WHAT.value == NAN:
             lengths[0, 1] = np.nan
@@ -91,20 +98,38 @@ class Diverging(KinematicSolver):
 
 @dataclass
 class Trial:
-    """What is running, and what came of it."""
+    """What is running, and what came of it.
+
+    Attributes:
+        ip: Address of the proxy; the PLC has the next one.
+        folder: Files of all processes.
+        wait: From the first motion to the fault [s].
+        plc: Process of the PLC; likewise `host` and `observer`.
+        client: Connection of the judge to inject faults.
+        named: Fault that the host or the PLC named.
+        stop: How the winches stopped.
+        rest: From the fault to rest [s].
+        commands: Commands that passed the proxy.
+        problems: What is not as it must be.
+    """
 
     ip: str
     folder: Path
+    wait: float
     plc: int = 0
     host: int = 0
+    observer: int = 0
     client: Any = None
+    named: str = "-"
+    stop: fault_judge.Stop | None = None
     rest: float | None = None
-    said: str = "-"
-    over: int = 0
-    rows: int = 0
-    moved: float = 0.0  # [s] from the first motion to the fault
-    recorded: float = 0.0  # [s]
+    commands: int = 0
     problems: list[str] = field(default_factory=list)
+
+    @property
+    def plc_ip(self) -> str:
+        """Address of the PLC itself."""
+        return self.ip[: self.ip.rindex(".") + 1] + str(int(self.ip.rsplit(".", 1)[1]) + 1)
 
 
 def child(work: Callable[[], int], output: Path) -> int:
@@ -129,8 +154,8 @@ def child(work: Callable[[], int], output: Path) -> int:
 def plc(trial: Trial, check: bool) -> int:
     """The PLC process."""
     take_priority("plc")
-    robot = ct.load_robot(trial.folder / "robot.yaml")
-    settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
+    robot = ct.load_robot(trial.folder / "plc.yaml")
+    settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=SILENCE_S)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     with quick_threads():
@@ -147,8 +172,9 @@ def host(trial: Trial, name: str = "run") -> int:
         controller="benchmarks.hardware_faults:Wrong",
         estimator="benchmarks.hardware_faults:Diverging", trajectory="circle", enable=True,
         home=tuple(float(x) for x in ct.load_robot("carosac").home_position), home_anew=True,
-        settings=(f"driver.stale_time={NOTICED}", f"driver.hang_time={NOTICED}",
-                  f"driver.inner.lost_after={NOTICED}"),
+        home_confirmed=True,
+        settings=(f"driver.stale_time={SILENCE_S}", f"driver.hang_time={SILENCE_S}",
+                  f"driver.inner.lost_after={SILENCE_S}"),
         speed=0.8, acceleration=0.8, recording=trial.folder / f"{name}.jsonl",
     )  # fmt: skip
     result = run_command.run(options)
@@ -157,18 +183,30 @@ def host(trial: Trial, name: str = "run") -> int:
     return result.status
 
 
-def prepare(trial: Trial, check: bool) -> None:
-    """Start both and wait until the winches move."""
-    hardware = f"\nhardware:\n  ads: {{net_id: {trial.ip}.1.1, ip: {trial.ip}}}\n  cables:\n"
+def robot_file(trial: Trial, name: str, ip: str) -> None:
+    """Write the robot file with the PLC at an address; the AMS net id stays that of the PLC."""
+    ads = f"\nhardware:\n  ads: {{net_id: {trial.plc_ip}.1.1, ip: {ip}}}\n  cables:\n"
     ways = ("{sign: 1, scale: 1 mm, offset: 0.5 m}", "{sign: -1, scale: 1 mm, offset: 25 m}")
     names = ct.load_robot("carosac").cable_names
-    cables = "\n".join(f"    {name}: {ways[i % 2]}" for i, name in enumerate(names))
-    text = robot_text("carosac") + hardware + cables + "\n"
+    cables = "\n".join(f"    {cable}: {ways[i % 2]}" for i, cable in enumerate(names))
+    text = robot_text("carosac") + ads + cables + "\n"
     parse_robot(text)
-    (trial.folder / "robot.yaml").write_text(text)
-    WHAT.value = NOTHING
+    (trial.folder / name).write_text(text)
+
+
+def observe(trial: Trial) -> int:
+    """The process of proxy and reader."""
+    return Observer(trial.ip, trial.plc_ip, trial.folder, DISTURBANCE).run()
+
+
+def prepare(trial: Trial, check: bool) -> None:
+    """Start all processes and wait until the winches move."""
+    robot_file(trial, "robot.yaml", trial.ip)
+    robot_file(trial, "plc.yaml", trial.plc_ip)
+    WHAT.value, DISTURBANCE.value = NOTHING, Disturbance.NONE
     trial.plc = child(lambda: plc(trial, check), trial.folder / "plc.txt")
     until(lambda: connected(trial), "the PLC did not start")
+    trial.observer = child(lambda: observe(trial), trial.folder / "observer.txt")
     trial.host = child(lambda: host(trial), trial.folder / "host.txt")
     until(lambda: speed(trial) > MOVING, "the winches did not move")
 
@@ -176,7 +214,7 @@ def prepare(trial: Trial, check: bool) -> None:
 def connected(trial: Trial) -> bool:
     """Connect beside the host."""
     try:
-        trial.client = PlcClient(4, trial.ip)
+        trial.client = PlcClient(4, trial.plc_ip)
     except CarosacError:
         return False
     return True
@@ -187,7 +225,7 @@ def speed(trial: Trial) -> float:
     return float(np.abs(trial.client.diagnosis()["set_speed"]).max()) * 1e-3
 
 
-def until(condition: Callable[[], bool], message: str, patience: float = PATIENCE) -> float:
+def until(condition: Callable[[], bool], message: str, patience: float = PATIENCE_S) -> float:
     """Wait for something; how long it took [s]."""
     began = time.monotonic()
     while not condition():
@@ -207,11 +245,9 @@ def ended(number: int) -> bool:
 
 def state(trial: Trial) -> tuple[int, int]:
     """State and fault of the PLC."""
-    from carosac_toolkit.plc.blocks import to_host
-
-    block = to_host(4)
-    values = block.unpack(trial.client.read("CaRoSaC.to_host", block.size))
-    return values["state"], values["fault"]
+    kind = layout("ST_ToHost")
+    values = np.frombuffer(trial.client.read("CaRoSaC.to_host", kind.itemsize), kind)[0]
+    return int(values["state"]), int(values["fault"])
 
 
 def wrong(what: int) -> Callable[[Trial], None]:
@@ -223,7 +259,16 @@ def wrong(what: int) -> Callable[[Trial], None]:
     return inject
 
 
-SLOW = {"network 0.3 s late": 1.0}  # [s] for which it is late; counts in the time to rest
+def disturb(kind: Disturbance) -> Callable[[Trial], None]:
+    """Have the proxy disturb the connection."""
+
+    def inject(trial: Trial) -> None:
+        DISTURBANCE.value = kind
+
+    return inject
+
+
+LOST = "lost_connection stale_data heartbeat_lost"
 FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
     "PLC killed": (lambda t: os.kill(t.plc, signal.SIGKILL), "lost_connection stale_data"),
     "PLC frozen": (lambda t: os.kill(t.plc, signal.SIGSTOP), "lost_connection stale_data"),
@@ -235,156 +280,193 @@ FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
     "encoder jump, seen by the host": (
         lambda t: t.client.inject(Injection.JUMP, 1, 0.05), "encoder_jump closure"),
     "drive trip": (lambda t: t.client.inject(Injection.TRIP, 2), "drive_trip"),
-    "PLC counter frozen": (
-        lambda t: t.client.inject(Injection.FREEZE_COUNTER), "stale_data"),
-    "PLC data frozen": (lambda t: t.client.inject(Injection.FREEZE_DATA), "stale_data"),
-    "network 0.3 s late": (
-        lambda t: t.client.write(*late()), "lost_connection stale_data heartbeat_lost"),
+    "PLC counter frozen": (disturb(Disturbance.COUNTER_FROZEN), "stale_data"),
+    "PLC data frozen": (disturb(Disturbance.DATA_FROZEN), "stale_data"),
+    "network 0.3 s late": (disturb(Disturbance.LATE), LOST),
+    "connection cut for 1 s": (disturb(Disturbance.DROPPED), LOST),
+    "answers are nonsense": (disturb(Disturbance.NONSENSE), LOST),
+    "answer cut short": (disturb(Disturbance.CUT_SHORT), LOST),
+    "answers replayed": (disturb(Disturbance.REPLAYED), LOST),
     "command NaN": (wrong(NAN), "command controller"),
     "command out of range": (wrong(FAR), "command"),
     "controller raises": (wrong(RAISES), "controller"),
+    "controller exits": (wrong(EXITS), "controller"),
     "controller hangs": (wrong(HANGS), "controller"),
     "estimator diverges": (wrong(DIVERGES), "estimator"),
 }  # fmt: skip
 
 
-def late(number: int = 1001, delay: float = 0.3) -> tuple[str, bytes]:
-    """What to write to have every answer come later [s]."""
-    values = {"number": number, "kind": int(Injection.NETWORK), "value": delay}
-    return blocks.CONTROL, blocks.control().pack(values)
-
-
 def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:
     """One fault at one random time."""
     inject, allowed = FAULTS[name]
-    ip = f"127.{20 + os.getpid() % 200}.{1 + number // 250}.{1 + number % 250}"
+    ip = f"127.{20 + os.getpid() % 200}.{1 + number // 100}.{1 + 2 * (number % 100)}"
     with tempfile.TemporaryDirectory() as folder:
-        trial = Trial(ip=ip, folder=Path(folder))
+        trial = Trial(ip=ip, folder=Path(folder), wait=rng.uniform(0.0, 2.0))
         try:
             prepare(trial, check="by the host" not in name)
-            trial.moved = rng.uniform(0.0, 2.0)
-            time.sleep(trial.moved)
-            watch(trial, name, inject)
-            judge(trial, name, allowed)
+            time.sleep(trial.wait)
+            fault_at = time.monotonic()
+            inject(trial)
+            finish(trial, name)
             try_again(trial, name)
+            end(trial.observer, signal.SIGTERM)
+            judge(trial, name, allowed, fault_at)
         except (TimeoutError, CarosacError) as error:
-            sys.stdout.flush()
-            said = [(trial.folder / f"{who}.txt").read_text()[-600:] for who in ("plc", "host")]
-            trial.problems.append(" ".join([str(error), *said]))
+            texts = [(trial.folder / f"{who}.txt").read_text()[-600:] for who in ("plc", "host")]
+            trial.problems.append(" ".join([str(error), *texts]))
         finally:
-            for process in (trial.host, trial.plc):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(process, signal.SIGKILL)
-                with contextlib.suppress(ChildProcessError):
-                    os.waitpid(process, 0)
+            for process in (trial.host, trial.plc, trial.observer):
+                end(process, signal.SIGKILL)
             if trial.client is not None:
                 trial.client.close()
     return trial
 
 
-def watch(trial: Trial, name: str, inject: Callable[[Trial], Any]) -> None:
-    """Inject, and wait for rest as the PLC sees it; for the end of the host where it is gone."""
-    began = time.monotonic()
-    inject(trial)
-    if name == "PLC killed":
-        until(lambda: ended(trial.host), "the host did not end")
-        trial.rest = time.monotonic() - began
+def end(process: int, how: signal.Signals) -> None:
+    """End a process and wait for it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process, how)
+    with contextlib.suppress(ChildProcessError):
+        os.waitpid(process, 0)
+
+
+def finish(trial: Trial, name: str) -> None:
+    """Wait until the host has ended, or the PLC has stopped without it; note what it named."""
+    if name in ("host frozen", "host killed -9"):
+        until(lambda: speed(trial) == 0.0, "the winches did not come to rest")
+        time.sleep(AFTER_REST_S)
+        trial.named = str(list(Fault)[state(trial)[1]])
         return
+    until(lambda: ended(trial.host), "the host did not end")
+    DISTURBANCE.value = Disturbance.NONE
     if name == "PLC frozen":
-        until(lambda: ended(trial.host), "the host did not end")
         os.kill(trial.plc, signal.SIGCONT)
-        began = time.monotonic()
-    if name in SLOW:
-        time.sleep(SLOW[name])  # what we see is late as well
-        trial.client.write(*late(1002, 0.0))
-    until(lambda: speed(trial) == 0.0, "the winches did not come to rest")
-    trial.rest = time.monotonic() - began
-
-
-def judge(trial: Trial, name: str, allowed: str) -> None:
-    """What is said of it, and whether any limit was passed."""
-    frozen = name in ("host frozen", "host killed -9")
-    if frozen:
-        time.sleep(0.1)
-        trial.said = str(list(Fault)[state(trial)[1]])
-    else:
-        until(lambda: ended(trial.host), "the host did not end")
+    time.sleep(AFTER_REST_S)
     result = trial.folder / "run.json"
     if result.exists():
-        trial.said = json.loads(result.read_text())["fault"] or "none"
-    if name != "PLC killed":
-        found = trial.client.diagnosis()
-        counts = {key: int(found[key]) for key in OVER if found[key]}
-        trial.over = sum(counts.values())
-        if counts:
-            shares = {key: found[key] for key in found if key.startswith("worst")}
-            trial.problems.append(f"{counts}, {shares}")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # where the process was killed, half a row may be left
-        found_time = read_run(trial.folder / "run.jsonl").recording.time
-    trial.rows, trial.recorded = len(found_time), float(np.ptp(found_time))
-    trial.problems += problems(trial, name, allowed)
+        trial.named = json.loads(result.read_text())["fault"] or "none"
+
+
+def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
+    """Judge what was seen on the wire."""
+    robot = ct.load_robot(trial.folder / "robot.yaml")
+    assert robot.hardware is not None
+    machine = fault_judge.Machine(
+        np.array(robot.hardware.sign) * np.array(robot.hardware.scale),
+        robot.speed_max, robot.acceleration_max,
+    )  # fmt: skip
+    at, cycles = observed(trial.folder / "read.bin", "ST_ToHost")
+    _, written = observed(trial.folder / "written.bin", "ST_FromHost")
+    points = fault_judge.set_points(at, cycles, machine)
+    lengths = fault_judge.commanded(written[written["session"] == written["session"][0]], machine)
+    missing = fault_judge.unrecorded(lengths, trial.folder / "run.jsonl")
+    stop = fault_judge.judge_stop(points, fault_at)
+    trial.commands = len(lengths)
+    trial.problems += fault_judge.judge_limits(points, machine)
+    if missing:
+        trial.problems.append(f"{missing} of {len(lengths)} commands unrecorded")
+    if trial.named not in allowed.split():
+        trial.problems.append(f"named {trial.named}, not {allowed}")
+    if name == "PLC killed":
+        return
+    trial.stop = stop
+    trial.rest = stop.rest_at - fault_at
+    late = trial.rest > STATED_S and name != "PLC frozen"  # frozen for as long as the host ran
+    checks = {
+        f"{trial.rest:.2f} s to rest": late,
+        f"turned back at {stop.reversal:.3f} m/s": stop.reversal > fault_judge.REVERSAL_MAX,
+        f"{stop.spread:.0%} off the common ramp": name not in ALONE
+        and stop.spread > fault_judge.FACTOR_TOLERANCE,
+    }
+    trial.problems += [problem for problem, found in checks.items() if found]
 
 
 def try_again(trial: Trial, name: str) -> None:
     """Start the command once more as it was: a fault that nobody has reset lets nothing move."""
     if name in NOT_HELD:
         return
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(trial.host, signal.SIGKILL)
-    until(lambda: ended(trial.host), "the host did not end")
+    end(trial.host, signal.SIGKILL)
     WHAT.value = NOTHING
     trial.host = child(lambda: host(trial, "again"), trial.folder / "again.txt")
     fastest = 0.0
     began = time.monotonic()
-    while not ended(trial.host) and time.monotonic() - began < PATIENCE:
+    while not ended(trial.host) and time.monotonic() - began < PATIENCE_S:
         fastest = max(fastest, speed(trial))
         time.sleep(0.002)
-    said = (trial.folder / "again.txt").read_text()
+    message = (trial.folder / "again.txt").read_text()
     if fastest > 0.0:
         trial.problems.append(f"moved again without a reset: {fastest:.2f} m/s")
-    elif ASKED not in said:
-        trial.problems.append(f"no word of a reset: {said[-300:]}")
+    elif ASKED not in message:
+        trial.problems.append(f"no word of a reset: {message[-300:]}")
 
 
-def problems(trial: Trial, name: str, allowed: str) -> list[str]:
-    """What is not as it must be."""
-    rest = trial.rest or 0.0
-    checks = {
-        f"said {trial.said}, not {allowed}": trial.said not in allowed.split(),
-        f"{trial.over} commands over a limit": trial.over > 0,
-        f"{rest:.2f} s to rest": rest > STATED + SLOW.get(name, 0.0) and name != "PLC killed",
-        f"{trial.recorded:.2f} s recorded of {trial.moved:.2f} s": trial.recorded < trial.moved,
-    }
-    return [problem for problem, found in checks.items() if found]
+def table_row(name: str, trials: list[Trial]) -> list[str]:
+    """Return the row of a fault."""
+    stops = [t.stop for t in trials if t.stop is not None]
+    rest = [t.rest for t in trials if t.rest is not None]
+    right = sum(t.named in FAULTS[name][1].split() for t in trials)
+    named = ", ".join(f"{k} {v}" for k, v in Counter(t.named for t in trials).items())
+    return [
+        name,
+        f"{np.median(rest):.2f} / {max(rest):.2f}" if rest else "-",
+        f"{max(s.reversal for s in stops):.4f}" if stops else "-",
+        f"{max(s.spread for s in stops):.1%}" if stops and name not in ALONE else "-",
+        named,
+        f"{right / len(trials):.0%}",
+        str(sum(bool(t.problems) for t in trials)),
+    ]
 
 
-def main() -> None:
-    """Run all, print and write the table."""
-    words = sys.argv[1:]
-    times = int(words[0]) if words else TIMES
-    chosen = words[1:] or list(FAULTS)
+HEADER = [
+    "fault", "to rest, median / largest [s]", "largest reversal [m/s]",
+    "largest distance from the common ramp", "named", "rightly", "trials with a problem",
+]  # fmt: skip
+
+
+def measure(names: list[str], times: int, seed: int) -> list[list[str]]:
+    """Run each of these faults, and print what was wrong; return rows of the table."""
     warm_up()
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     rows, number = [], 0
-    for name in chosen:
+    for name in names:
         trials = []
         for _ in range(times):
             number += 1
             trials.append(run_trial(name, rng, number))
-        rest = [t.rest for t in trials if t.rest is not None]
-        bad = [problem for t in trials for problem in t.problems]
-        said = ", ".join(f"{k} {v}" for k, v in Counter(t.said for t in trials).items())
-        worst = f"{np.median(rest):.2f} / {max(rest):.2f}" if rest else "-"
-        rows.append([name, worst, said, str(sum(t.over for t in trials)),
-                     str(min(t.rows for t in trials)), str(len(bad))])  # fmt: skip
-        print(rows[-1], *bad, sep="\n    ", flush=True)
-    header = ["fault", "to rest, median / largest [s]", "named", "commands over a limit",
-              "fewest rows recorded", "trials with a problem"]  # fmt: skip
-    text = table(header, rows)
+        rows.append(table_row(name, trials))
+        problems = [problem for t in trials for problem in t.problems]
+        print(rows[-1], *problems, sep="\n    ", file=sys.stderr, flush=True)
+    return rows
+
+
+def main() -> None:
+    """Run all, print and write the table."""
+    parser = argparse.ArgumentParser(description="Faults on the emulated PLC.")
+    parser.add_argument("times", nargs="?", type=int, default=TIMES)
+    parser.add_argument("faults", nargs="*", default=list(FAULTS))
+    parser.add_argument("--jobs", type=int, default=1, help="trials at the same time")
+    parser.add_argument("--rows", type=Path, help="where one job keeps its rows")
+    options = parser.parse_args()
+    if unknown := set(options.faults) - set(FAULTS):
+        parser.error(f"faults: got {sorted(unknown)}; allowed: {list(FAULTS)}")
+    if options.rows is not None:
+        rows = measure(options.faults, options.times, seed=list(FAULTS).index(options.faults[0]))
+        options.rows.write_text(json.dumps(rows))
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = []
+        for k in range(options.jobs):
+            command = [sys.executable, "-m", "benchmarks.hardware_faults", str(options.times)]
+            file = Path(folder) / f"{k}.json"
+            command += [*options.faults[k :: options.jobs], "--rows", str(file)]
+            jobs.append((subprocess.Popen(command), file))
+        if any(job.wait() for job, _ in jobs):
+            sys.exit("hardware_faults: a job failed")
+        found = {row[0]: row for _, file in jobs for row in json.loads(file.read_text())}
+    text = table(HEADER, [found[name] for name in options.faults])
     print(text)
-    if times >= TIMES and len(chosen) == len(FAULTS):
-        command = "python -m benchmarks.hardware_faults"
+    if options.times >= TIMES and len(options.faults) == len(FAULTS):
+        command = f"python -m benchmarks.hardware_faults --jobs {options.jobs}"
         write_section("hardware_faults", "Faults on the emulated PLC", command, text)
 
 

@@ -155,14 +155,13 @@ def draw_learnt(estimate: ParameterEstimate) -> Figure:
     first, second = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))
     first.barh(place, left, color=COLOR_AFTER, alpha=0.75)
-    first.axvline(1.0, color="#808080", lw=0.8)
     first.set(xlabel="1 sigma after / before", xlim=(0.0, max(1.05, float(left.max(initial=0.0)))))
     first.set_yticks(place, names, fontsize=8)
     first.invert_yaxis()
     second.barh(place, moved, color=SERIES_COLORS[0], alpha=0.75)
-    second.axvline(1.0, color="#808080", lw=0.8)
     second.set(xlabel="moved by, in sigmas before")
     for axes in (first, second):
+        axes.axvline(1.0, color="#808080", lw=0.8)
         axes.grid(alpha=0.25, axis="x")
     figure.suptitle("Learnt from the data: short bars on the left")
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 from baselines.kinematic_solver_controller import KinematicSolverController
@@ -23,6 +24,25 @@ class _Failing(KinematicSolverController):
 class Raising(_Failing):
     def fail(self, command):
         raise ZeroDivisionError("a bug")
+
+
+class Exiting(_Failing):
+    def fail(self, command):
+        sys.exit()
+
+
+class Interrupting(_Failing):
+    """Raises what the operator's Ctrl-C would, where nobody has pressed it."""
+
+    def fail(self, command):
+        raise KeyboardInterrupt
+
+
+class ExitingEarly(KinematicSolverController):
+    """Ends the program in the rehearsal, before anything is connected."""
+
+    def command(self, belief, reference):
+        sys.exit()
 
 
 class Hanging(_Failing):

@@ -38,8 +38,8 @@ def draw_estimate(result: Smoothed, robot: str) -> Figure:
                 label="smoothed minus measured",
             )  # fmt: skip
             widest = 1.3 * max(float(np.abs(error).max()), 0.5)
-            right.set_ylim(-max(widest, min(band[:, i].max(), 3.0 * widest)),
-                           max(widest, min(band[:, i].max(), 3.0 * widest)))  # fmt: skip
+            end = max(widest, min(band[:, i].max(), 3.0 * widest))
+            right.set_ylim(-end, end)
         left.set_ylabel(f"{'xyz'[i]} [m]")
         right.set_ylabel(f"error in {'xyz'[i]} [mm]")
     for axes in panels[-1]:
@@ -54,8 +54,6 @@ def draw_unknowns(result: Smoothed, robot: str) -> Figure:
     """Draw wind and length biases over time, each with two sigmas of what is left open."""
     figure = new_figure(11.0, 6.0)
     above, below = figure.subplots(2, 1, sharex=True)
-    for axes in (above, below):
-        _shade(result, axes)
     for i, axis in enumerate("xy"):
         above.plot(result.time, result.wind[:, i], color=SERIES_COLORS[i], lw=1.0, label=axis)
     for i in range(result.length_bias.shape[1]):
@@ -66,9 +64,9 @@ def draw_unknowns(result: Smoothed, robot: str) -> Figure:
             result.time, bias - 2 * sigma, bias + 2 * sigma, color=color, alpha=0.12, lw=0
         )
     above.set_ylabel("wind [N]")
-    below.set_ylabel("readings too long by [mm]")
-    below.set_xlabel("time [s]")
+    below.set(xlabel="time [s]", ylabel="readings too long by [mm]")
     for axes in (above, below):
+        _shade(result, axes)
         axes.legend(fontsize=9, loc="upper right", ncols=4)
     figure.suptitle(f"{robot}: what beside the lengths moves the platform")
     return figure

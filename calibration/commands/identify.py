@@ -19,8 +19,9 @@ from typing import Annotated
 
 import tyro
 
-from calibration.identification import Identification, identify
+from calibration.identification.procedure import identify
 from calibration.identification.report import report_content
+from calibration.identification.result import Identification
 from calibration.report import (
     option_words,
     print_parameters,

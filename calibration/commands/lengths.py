@@ -18,14 +18,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from calibration.lengths import (
-    LengthCalibration,
-    LengthSettings,
-    SuggestedPoses,
-    calibrate_lengths,
-    suggest_poses,
-)
-from calibration.lengths.planning import SUGGESTED_POSES_MAX
+from calibration.lengths.calibrate import calibrate_lengths
+from calibration.lengths.planning import SUGGESTED_POSES_MAX, SuggestedPoses, suggest_poses
 from calibration.lengths.report import (
     CABLE_GROUPS,
     CABLE_HEADER,
@@ -35,6 +29,8 @@ from calibration.lengths.report import (
     pose_rows,
     report_content,
 )
+from calibration.lengths.result import LengthCalibration
+from calibration.lengths.settings import LengthSettings
 from calibration.observability import Unobservable
 from calibration.report import (
     option_words,

@@ -18,8 +18,9 @@ import tyro
 
 from calibration.report import option_words, print_sentences, write_new_robot, write_report
 from calibration.robot_update import check_output
-from calibration.tachymeter import TachymeterResult, calibrate_tachymeter
+from calibration.tachymeter.calibrate import calibrate_tachymeter
 from calibration.tachymeter.report import report_content
+from calibration.tachymeter.result import TachymeterResult
 from calibration.tachymeter.survey_files import read_survey
 from calibration.tachymeter.tables import (
     EXIT_GROUPS,

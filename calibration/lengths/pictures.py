@@ -20,6 +20,7 @@ from carosac_toolkit.pictures.drawing import (
     SERIES_COLORS,
     new_figure,
     put_legend,
+    set_plane,
     views,
 )
 from carosac_toolkit.reports.page import png
@@ -41,9 +42,7 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
             axes.plot(
                 *suggested.position[:, rows].T, "*", color=COLOR_OUTLIER, ms=11, label="suggested"
             )
-        axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]", aspect="equal")
-        axes.set_title(title, fontsize=9)
-        axes.grid(alpha=0.25)
+        set_plane(axes, pair, title)
     if suggested is not None:
         number = np.arange(len(suggested.sigma))
         last = panels[-1]

@@ -38,10 +38,7 @@ def frozen_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = as_floats(name, value)
     if array.shape != shape:
         raise InvalidField(name, f"shape {array.shape}", f"shape {shape}")
-    if not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        where = f"{name}[{', '.join(map(str, index))}]" if index else name
-        raise InvalidField(where, array[index], "a finite number")
+    _check_finite(name, array)
     array.setflags(write=False)
     return array
 
@@ -56,10 +53,16 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
     if array.ndim != 1 + len(trailing) or array.shape[1:] != trailing or len(array) == 0:
         allowed = "(B, " + ", ".join(map(str, trailing)) + ")" if trailing else "(B,)"
         raise InvalidField(name, f"shape {array.shape}", f"shape {allowed}, B >= 1")
+    _check_finite(name, array)
+    return np.ascontiguousarray(array)
+
+
+def _check_finite(name: str, array: Array) -> None:
+    """Refuse an entry that is not finite, named by its index."""
     if not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidField(f"{name}[{', '.join(map(str, index))}]", array[index], "a finite number")
-    return np.ascontiguousarray(array)
+        where = f"{name}[{', '.join(map(str, index))}]" if index else name
+        raise InvalidField(where, array[index], "a finite number")
 
 
 def check_rotations(name: str, rotation: Array) -> None:

@@ -10,6 +10,7 @@ A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,7 @@ from typing import Annotated, Any
 import tyro
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.local_peer import is_loopback
 
 LOOP_RATE_MAX_HZ = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
@@ -55,3 +57,26 @@ def period_of_rate(rate: float) -> float:
     if not 0.0 < rate <= LOOP_RATE_MAX_HZ:
         raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {LOOP_RATE_MAX_HZ:g} Hz")
     return 1.0 / rate
+
+
+def check_reach(option: str, address: str, allowed: bool, consequence: str) -> None:
+    """Refuse an address that other machines can reach, unless --allow-others confirms it.
+
+    Args:
+        option: Option that names the address.
+        address: Address to listen on.
+        allowed: Whether --allow-others is given.
+        consequence: What other machines can then do: ``move ...``.
+
+    Raises:
+        InvalidField: It is not confirmed.
+    """
+    if is_loopback(address):
+        return
+    words = f"whoever can reach this machine over the network can {consequence}"
+    if not allowed:
+        confirm = (
+            f"an address of this machine only, such as 127.0.0.1; or add --allow-others: {words}"
+        )
+        raise InvalidField(option, repr(address), confirm)
+    print(f"carosac: warning: {words}", file=sys.stderr)

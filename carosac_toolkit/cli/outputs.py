@@ -46,13 +46,10 @@ def check_outputs(options: Any) -> None:
 
 def _check_clash(output: _Named, inputs: Sequence[_Named], earlier: Sequence[_Named]) -> None:
     """Refuse an output that is read as well, or written twice."""
-    for other in inputs:
+    uses = [(other, "read from") for other in inputs] + [(other, "written to") for other in earlier]
+    for other, use in uses:
         if same_file(output.path, other.path):
-            allowed = f"another path; {other.option} is read from this one"
-            raise InvalidField(output.option, f"'{output.path}'", allowed)
-    for other in earlier:
-        if same_file(output.path, other.path):
-            allowed = f"another path; {other.option} is written to this one"
+            allowed = f"another path; {other.option} is {use} this one"
             raise InvalidField(output.option, f"'{output.path}'", allowed)
 
 

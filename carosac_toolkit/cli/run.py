@@ -29,17 +29,19 @@ from carosac_toolkit.cli.run_builder import (
     make_guard,
     make_path,
     recorded,
+    started_slowly,
 )
 from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import KEYS_HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.live.real_time import quick_threads, take_priority
+from carosac_toolkit.live.real_time import RealTime, quick_threads
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
 from carosac_toolkit.loop.loop import ReferenceSource as Followed
+from carosac_toolkit.loop.loop import Step
 from carosac_toolkit.loop.loop import run as run_loop
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
 from carosac_toolkit.loop.plugin_settings import chosen_settings
@@ -64,11 +66,12 @@ def run(options: Options) -> CommandResult:
     guard = make_guard(robot, options, chosen["driver_settings"], float(controller.period))
     rehearse(robot, estimator, controller, path, suite=options.suite)
     statistics = Statistics(guard)
-    with recorded(options) as recorder, _prepared(options):
+    with recorded(options) as recorder, _prepared(options, guard) as real_time:
         guard.journal = recorder
         say(_what(options, guard, recorder))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
-            completed, error = _run(options, guard, estimator, controller, path, statistics)
+            parts = (guard, estimator, controller, started_slowly(path, options, guard))
+            completed, error = _run(options, *parts, statistics, real_time)
         statistics.end_line()
         whole = recorder.close()
     if guard.fault is None and error is None and (guard.unrecorded or not whole):
@@ -97,29 +100,38 @@ def _reset(robot: Robot, options: Options) -> CommandResult:
 
 
 @contextlib.contextmanager
-def _prepared(options: Options) -> Iterator[None]:
-    """Switch threads quickly, take priority if asked, and keep the ADS library silent."""
-    if options.priority:
-        take_priority("carosac run")
-    with quick_threads(), without_ads_lines():
-        yield
+def _prepared(options: Options, guard: GuardedDriver) -> Iterator[RealTime | None]:
+    """Switch threads quickly, prepare for real time if asked, and keep the ADS library silent."""
+    with contextlib.ExitStack() as stack:
+        real_time = None
+        if options.priority:
+            real_time = stack.enter_context(RealTime("carosac run", lambda: guard.at_rest))
+        stack.enter_context(quick_threads())
+        stack.enter_context(without_ads_lines())
+        yield real_time
 
 
 def _run(
     options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
-    statistics: Statistics,
-) -> tuple[bool, Exception | None]:  # fmt: skip
+    statistics: Statistics, real_time: RealTime | None,
+) -> tuple[bool, BaseException | None]:  # fmt: skip
     """Run the loop; return whether it came to its end, and an error once it was connected."""
     duration = options.duration
     if duration is None:
         duration = path.duration + REST_S
+
+    def watch(step: Step) -> None:
+        statistics(step)
+        if real_time is not None:
+            real_time.cycle()
+
     try:
         log = run_loop(
-            guard, estimator, controller, path, duration=duration, watch=statistics, keep=1,
+            guard, estimator, controller, path, duration=duration, watch=watch, keep=1,
             by_clock=True,
         )  # fmt: skip
-    except Exception as error:
-        if guard.fault is None and statistics.cycles == 0:
+    except BaseException as error:
+        if guard.fault is None and (statistics.cycles == 0 or isinstance(error, KeyboardInterrupt)):
             raise
         if not isinstance(error, CarosacError):
             traceback.print_exc()
@@ -155,7 +167,7 @@ def _say_next_step(guard: GuardedDriver, options: Options) -> None:
 
 def _result(
     guard: GuardedDriver, statistics: Statistics, recorder: CrashSafeRecorder, ending: Ending,
-    completed: bool, error: Exception | None,
+    completed: bool, error: BaseException | None,
 ) -> CommandResult:  # fmt: skip
     """Say how the run ended, and return it."""
     fault = guard.fault
@@ -173,13 +185,14 @@ def _result(
         "cable": None if fault is None else fault.cable,
         "home_change_m": None if guard.home_change is None else guard.home_change.tolist(),
         "would_be_faults": guard.refused,
-        **statistics.data(guard.settings.period),
+        **statistics.data(),
         "recording": str(recorder.path),
         "rows": recorder.rows,
         "unrecorded_rows": guard.unrecorded,
+        "commands_before_row": guard.monitor.unwritten,
     }
     where = "" if statistics.position is None else f"platform at {place(statistics.position)}\n"
-    say(f"{reason}\n{where}{statistics.cycles} cycles, {guard.overruns} late; limited: "
+    say(f"{reason}\n{where}{statistics.cycles} cycles, {statistics.timing()}; limited: "
         f"{dict(statistics.limits) or 'none'}")  # fmt: skip
     if ending.signal is not None and fault is None and error is None:
         return CommandResult(data, status=128 + ending.signal)

@@ -19,6 +19,7 @@ from carosac_toolkit.cli.run_options import DEFAULT_TRAJECTORY, Options
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
 from carosac_toolkit.live.sequence import START_TOLERANCE_M, with_approach
+from carosac_toolkit.live.slow_start import SlowStart
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.plugin_settings import check_types
@@ -76,10 +77,12 @@ def make_guard(
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable or reset_only,
         "start_position": home, "home_anew": options.home_anew,
+        "home_confirmed": options.home_confirmed,
         "rehearse": options.home is not None and not reset_only, "enable_at_once": not reset_only,
         "reset_at_once": options.reset, "real_time": True,
         "speed_max": WINCH_RATE_RATIO * options.speed,
         "tension_shift_max": TENSION_SHIFT_MAX if slow else None,
+        "first_shift_max": TENSION_SHIFT_MAX,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
@@ -103,8 +106,8 @@ def make_path(robot: Robot, options: Options) -> Followed:
     """Return what is followed, from where the platform stands."""
     start = np.asarray(options.home or robot.home_position, dtype=float)
     limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
-    for name, value in limits.items():
-        if not 0.0 < value < np.inf:
+    for name, value in {**limits, "duration": options.duration}.items():
+        if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name.removesuffix('_max')}", str(value), "> 0, finite")
     if options.to is not None and (options.by_hand or options.trajectory != DEFAULT_TRAJECTORY):
         raise InvalidField("--to", "also --by-hand or --trajectory", "one of the three")
@@ -115,6 +118,19 @@ def make_path(robot: Robot, options: Options) -> Followed:
         return with_approach(_move(robot, start, options.to, limits), start, rest=REST_S, **limits)
     path = trajectories.build(options.trajectory, robot, options.seed, **limits)
     return with_approach(path, start, rest=REST_S, **limits)
+
+
+def started_slowly(path: Followed, options: Options, guard: GuardedDriver) -> Followed:
+    """Return the path, slow while the guard watches the first way after a new home."""
+    slow = options.speed <= TENSION_CHECK_SPEED_MAX
+    if slow or not (options.home_anew and options.enable):
+        return path
+    later = guard.settings.first_way / TENSION_CHECK_SPEED_MAX
+    later += options.speed / options.acceleration
+    return SlowStart(
+        path, lambda: guard.monitor.checks.first_way, speed=TENSION_CHECK_SPEED_MAX,
+        acceleration=options.acceleration, duration=path.duration + later,
+    )  # fmt: skip
 
 
 def _move(

@@ -45,7 +45,10 @@ class Options(CommonOptions):
     with --enable go on: home and move."""
     home_anew: tyro.conf.FlagCreatePairsOff[bool] = False
     """Home also where that changes an offset by more than 0.1 m; only at a pose that was
-    measured."""
+    measured. Load cells, IMU and pose measurement that contradict it are obeyed."""
+    home_confirmed: tyro.conf.FlagCreatePairsOff[bool] = False
+    """You have measured --home a second time: needed with --home-anew and --enable where the
+    sensors would not notice a wrong home, as encoders alone never do."""
     speed: float = 0.3
     """Largest speed of the platform [m/s]. No winch is asked for more than 1.5 times that: cables
     of a platform that moves at v change their lengths at v at most, and a little more where it
@@ -59,7 +62,8 @@ class Options(CommonOptions):
     rate: float = 100.0
     """Commands a second, for a controller whose period can be chosen."""
     priority: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Run before all ordinary processes; on Linux, and with the right to it."""
+    """Run in real time: before all ordinary processes, with memory locked, the loop on an
+    isolated core, and garbage collected at rest only; on Linux, and with the right to it."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()

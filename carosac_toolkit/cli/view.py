@@ -28,7 +28,13 @@ import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.files import check_writable
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
+from carosac_toolkit.cli.common import (
+    CommandResult,
+    CommonOptions,
+    OutputFile,
+    check_reach,
+    period_of_rate,
+)
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.real_time import take_priority
@@ -45,7 +51,6 @@ from carosac_toolkit.viewer.page import (
     LOOPBACK_ADDRESS,
     SAG_FACTOR_MAX,
     Page,
-    is_loopback,
 )
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 
@@ -100,8 +105,9 @@ class Options(CommonOptions):
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
     host: str = LOOPBACK_ADDRESS
-    """Address to serve at; any other than 127.0.0.1 lets other machines view and control the
-    robot."""
+    """Address to serve at; one that other machines can reach needs --allow-others."""
+    allow_others: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Confirm that other machines may reach --host."""
     port: int = DEFAULT_PORT
     """Port to serve at; if it is taken, the next free one."""
     duration: float | None = None
@@ -139,9 +145,10 @@ def _check(options: Options) -> None:
     if options.html is not None and options.live:
         allowed = "no --live; record with carosac run, then carosac view RECORDING --html FILE"
         raise InvalidField("--html", f"'{options.html}'", allowed)
-    if not is_loopback(options.host):
-        text = f"warning: {options.host} is open to other machines, without any password"
-        print(f"carosac: {text}", file=sys.stderr)
+    check_reach(
+        "--host", options.host, options.allow_others,
+        "see the robot and drag its target, if they know the address of the page or overhear it",
+    )  # fmt: skip
 
 
 def _is_robot(what: str) -> bool:

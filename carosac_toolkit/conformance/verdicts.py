@@ -95,6 +95,13 @@ def require_same(one: list[Array], other: list[Array], message: str) -> None:
         raise NotConforming(f"{message} ({detail})")
 
 
+def require_repeatable(collect: Callable[[], list[Array]], message: str) -> None:
+    """Require two calls to agree bit by bit, whatever else draws random numbers between them."""
+    one = collect()
+    np.random.random(7)  # noqa: NPY002 - somebody else's draw
+    require_same(one, collect(), message)
+
+
 def require_close(one: Array, other: Array, message: str, tolerance: float) -> None:
     """Require two arrays to agree within a tolerance."""
     difference = float(np.abs(one - other).max()) if one.shape == other.shape else np.inf

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.loop import ReferenceSource
+from carosac_toolkit.loop.plugin_errors import exit_refused
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
 from carosac_toolkit.physics.rest.homing import homing_lengths
@@ -22,6 +23,9 @@ def rehearse(
     """Run estimator and controller on a robot at rest at home; nothing is sent anywhere.
 
     Both are reset before the real run, so that they keep nothing of it.
+
+    Raises:
+        BadPlugin: One of the two called `sys.exit()`.
     """
     home = State(
         time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
@@ -32,12 +36,16 @@ def rehearse(
         now = k * controller.period
         measurement = _at_rest(robot, lengths, now, suite)
         held = Command(time=np.array([now]), unstrained_length=lengths)
-        if belief is None:
-            belief = estimator.reset(measurement)
-            controller.reset(belief)
-        else:
-            belief = estimator.update(belief, held, measurement)
-        controller.command(belief, path.window(0.0, controller.horizon, controller.period))
+        with exit_refused("estimator", estimator):
+            belief = (
+                estimator.reset(measurement)
+                if k == 0
+                else estimator.update(belief, held, measurement)
+            )
+        with exit_refused("controller", controller):
+            if k == 0:
+                controller.reset(belief)
+            controller.command(belief, path.window(0.0, controller.horizon, controller.period))
 
 
 def _at_rest(robot: Robot, lengths: Any, now: float, suite: str) -> Measurement:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from carosac_toolkit.loop.loop import BadPlugin, Log, ReferenceSource, Step, run
+    from carosac_toolkit.loop.loop import Log, ReferenceSource, Step, run
+    from carosac_toolkit.loop.plugin_errors import BadPlugin
 
 __all__ = ["BadPlugin", "Log", "ReferenceSource", "Step", "run"]
 

@@ -108,7 +108,7 @@ _FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
         "Free or unload the platform, check payload and limits, then reset.",
     ),
     Fault.HEARTBEAT_LOST: (
-        "The PLC no longer heard the host and ramped the winches to rest.",
+        "The PLC heard no heartbeat or no command in time and ramped the winches to rest.",
         "Check that the host program runs and the network answers, then reset.",
     ),
     Fault.LOST_CONNECTION: (

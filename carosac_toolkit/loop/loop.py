@@ -13,7 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.plugin_errors import BadPlugin, exit_refused
 from carosac_toolkit.loop.protocols import Controller, Driver, Estimator, Supervisor, TruthSource
 from carosac_toolkit.loop.values import (
     Belief,
@@ -24,10 +25,6 @@ from carosac_toolkit.loop.values import (
     Reference,
     State,
 )
-
-
-class BadPlugin(CarosacError):
-    """A controller or estimator that returned something the loop cannot use."""
 
 
 class ReferenceSource(Protocol):
@@ -55,6 +52,7 @@ class Step:
         command: Command really sent.
         truth: State at the same time, or None if the driver does not know it.
         latency: Wall time of estimator and controller together [s].
+        durations: Wall time of ``measure``, ``estimator``, ``controller`` and ``command`` [s].
     """
 
     measurement: Measurement
@@ -64,6 +62,7 @@ class Step:
     command: Command
     truth: State | None
     latency: float
+    durations: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,7 +166,7 @@ def run(
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
-        if isinstance(error, Exception) and isinstance(driver, Supervisor):
+        if isinstance(error, Exception | SystemExit) and isinstance(driver, Supervisor):
             driver.fail("program", error)
         raise
     finally:
@@ -188,15 +187,17 @@ def _cycles(
     start = float(measurement.time[0])
     applied = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
     belief: Belief | None = None
+    clock = time.perf_counter
     for k in count():
+        woken = clock()
         if k > 0:
             measurement = driver.measure()
         truth = driver.truth() if isinstance(driver, TruthSource) else None
         now = float(measurement.time[0]) - start
         reference = _reference(trajectory, controller, now, start)
-        began = time.perf_counter()
+        began = clock()
         first = belief is None
-        with _blamed(driver, "estimator"):
+        with _blamed(driver, "estimator", estimator):
             estimate = (
                 estimator.reset(measurement)
                 if belief is None
@@ -205,15 +206,20 @@ def _cycles(
             belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):
             driver.believe(belief)
-        with _blamed(driver, "controller"):
+        estimated = clock()
+        with _blamed(driver, "controller", controller):
             if first:
                 controller.reset(belief)
             asked = _checked_command(controller.command(belief, reference), measurement)
-        latency = time.perf_counter() - began
+        decided = clock()
         applied = driver.command(asked)
         step = Step(
             measurement=measurement, belief=belief, reference=reference, asked=asked,
-            command=applied, truth=truth, latency=latency,
+            command=applied, truth=truth, latency=decided - began,
+            durations={
+                "measure": began - woken, "estimator": estimated - began,
+                "controller": decided - estimated, "command": clock() - decided,
+            },
         )  # fmt: skip
         steps.append(step)
         if watch is not None:
@@ -236,11 +242,12 @@ class _Over:
 
 
 @contextmanager
-def _blamed(driver: Driver, part: str) -> Iterator[None]:
+def _blamed(driver: Driver, part: str, plugin: object) -> Iterator[None]:
     """Tell a supervising driver which part raised an error."""
     try:
-        yield
-    except Exception as error:
+        with exit_refused(part, plugin):
+            yield
+    except (Exception, KeyboardInterrupt) as error:
         if isinstance(driver, Supervisor):
             driver.fail(part, error)
         raise

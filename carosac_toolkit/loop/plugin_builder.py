@@ -10,6 +10,7 @@ from typing import Any
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.settings import filled
 from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_errors import exit_refused
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.robot.robot import Robot
 
@@ -35,11 +36,13 @@ def build_plugin(
     Raises:
         InvalidField: `asked` names a field that the settings do not have, or a value of another
             type.
+        BadPlugin: It called `sys.exit()`.
     """
     settings = settings_of(plugin, where=where, asked=asked, offered=offered)
-    if seeds is not None:
-        return plugin.build_batch(robot, settings, seeds=seeds)
-    return plugin.build(robot, settings, seed=seed)
+    with exit_refused(where, plugin):
+        if seeds is not None:
+            return plugin.build_batch(robot, settings, seeds=seeds)
+        return plugin.build(robot, settings, seed=seed)
 
 
 def settings_of(
@@ -53,7 +56,8 @@ def settings_of(
     kind = getattr(plugin, "Settings", None)
     if kind is None:
         if asked:
-            raise InvalidField(where, dict(asked), f"nothing: {plugin.__name__} has no Settings")
+            name = getattr(plugin, "__name__", repr(plugin))  # an instance has none
+            raise InvalidField(where, dict(asked), f"nothing: {name} has no Settings")
         return None
     check_types(where, kind(), asked)
     names = setting_names(plugin)

@@ -180,7 +180,7 @@ def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
         target: Any = import_module(point.module)
         for attribute in filter(None, (point.attr or "").split(".")):
             if not hasattr(target, attribute):  # imports what a package hands on lazily
-                allowed = f"a name that {point.module} defines"
+                allowed = f"a name that {point.module} defines when imported, in no 'if __name__'"
                 hint = did_you_mean(attribute, dir(target))
                 raise InvalidField(kind[:-1], repr(name), allowed + hint)
             target = getattr(target, attribute)

@@ -12,14 +12,15 @@ from carosac_toolkit.pictures.drawing import (
     MEASURED_COLOR,
     REST_COLOR,
     SERIES_COLORS,
+    STANDARD_VIEWS,
     VIOLIN_VALUES_MIN,
+    Path,
     draw_bell,
+    draw_in_space,
     draw_violin,
-    limits_of,
     new_figure,
     put_legend,
     put_patches,
-    set_space,
 )
 from carosac_toolkit.pictures.estimates import draw_estimates
 from carosac_toolkit.studies.compare.example_cases import MM_PER_M, Example, examples_of
@@ -51,10 +52,9 @@ def draw_violins(results: StudyResults) -> Figure:
         for column, axes in enumerate(panels if errors else ()):
             draw_violin(axes, np.concatenate(errors)[:, column], place, color)
     for name, axes in zip(AXIS_NAMES, panels, strict=True):
+        top = axes.get_ylim()[1]
+        axes.set(xticks=[], xlim=(-0.6, len(groups) - 0.2), ylim=(-0.04 * top, top))
         axes.set_title(name, fontsize=10)
-        axes.set_xticks([])
-        axes.set_xlim(-0.6, len(groups) - 0.2)
-        axes.set_ylim(-0.04 * axes.get_ylim()[1], axes.get_ylim()[1])
         axes.grid(axis="y", alpha=0.25)
     panels[0].set_ylabel("absolute tracking error [mm]")
     count = f"{len(shown)} trajector" + ("ies" if len(shown) != 1 else "y")
@@ -76,9 +76,8 @@ def draw_gaussians(results: StudyResults) -> Figure:
             column = [row[f"tracking_rmse_{name}_m"] for row in tracked(rows)]
             _bell(axes, MM_PER_M * np.array(column, dtype=float), place, color)
         axes.set_title(name, fontsize=10)
-        axes.set_xlabel("RMSE of a case [mm]")
-        axes.set_yticks([])
-        axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
+        end = axes.get_xlim()[1]
+        axes.set(xlabel="RMSE of a case [mm]", yticks=[], xlim=(-0.02 * end, 1.1 * end))
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
@@ -103,8 +102,7 @@ def draw_time(results: StudyResults) -> Figure:
             shade = axes.axvspan(first, end, color=REST_COLOR, lw=0, zorder=0)
             if axis == k == 0:
                 shade.set_label("reference at rest")
-        axes.set_ylabel(f"|error| in {AXIS_NAMES[axis]} [mm]")
-        axes.set_ylim(bottom=0.0)
+        axes.set(ylabel=f"|error| in {AXIS_NAMES[axis]} [mm]", ylim=(0.0, None))
         axes.margins(x=0.005)
         axes.grid(alpha=0.25)
     figure.align_ylabels(panels)
@@ -117,29 +115,16 @@ def draw_time(results: StudyResults) -> Figure:
 def draw_paths(results: StudyResults) -> Figure:
     """Draw the path of one example case in space, from above and from the side."""
     figure = new_figure(12.0, 7.2)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
-    space = figure.add_subplot(grid[:, 0], projection="3d")
     examples = _same_example(results, PATH_PLOT_TRAJECTORIES)
-    paths = {label: (one.position, color) for label, (one, color) in examples.items()}
+    paths: dict[str, Path] = {}
+    for label, (example, color) in examples.items():
+        paths[label] = (example.position, {"color": color, "lw": 1.5}, {"color": color, "lw": 1.2})
     if examples:
-        paths["reference"] = (next(iter(examples.values()))[0].reference, MEASURED_COLOR)
-    limits = limits_of([path for path, _ in paths.values()] or [np.zeros((1, 3))])
-    for label, (path, color) in paths.items():
-        style = {"ls": "--", "lw": 1.1} if label == "reference" else {"lw": 1.5}
-        space.plot(*path.T, color=color, label=label, **style)
-    set_space(space, limits)
-    views = (((0, 1), "from above"), ((0, 2), "from the side, along y"))
-    for row, (pair, title) in enumerate(views):
-        axes = figure.add_subplot(grid[row, 1])
-        for label, (path, color) in paths.items():
-            style = {"ls": "--", "lw": 0.9} if label == "reference" else {"lw": 1.2}
-            axes.plot(*path[:, list(pair)].T, color=color, **style)
-        axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
-        axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
-        axes.set_title(title, fontsize=9)
-        axes.grid(alpha=0.25)
+        dashed = {"color": MEASURED_COLOR, "ls": "--"}
+        reference = next(iter(examples.values()))[0].reference
+        paths["reference"] = (reference, {"lw": 1.1, **dashed}, {"lw": 0.9, **dashed})
+    draw_in_space(figure, paths, STANDARD_VIEWS)
     figure.suptitle(f"Path of the platform origin{_title_of(examples)}")
-    put_legend(figure, space)
     return figure
 
 
@@ -155,15 +140,14 @@ def draw_bars(results: StudyResults) -> Figure:
         errors = [line["estimation_rmse_m"][name] for name in AXIS_NAMES]
         for axes, values in ((where, regions), (estimate, errors)):
             _bars(axes, values, place, len(groups), color)
-    where.set_xticks(range(2), ["centre", "boundary"])
-    where.set_ylabel("RMSE of the tracking error [mm]")
-    where.set_title("tracking error by region", fontsize=10)
-    estimate.set_xticks(range(4), AXIS_NAMES)
-    estimate.set_ylabel("RMSE of the estimation error [mm]")
-    estimate.set_title(f"estimation error{_of_estimator(results)}", fontsize=10)
-    for axes in (where, estimate):
+    titles = ("tracking error by region", f"estimation error{_of_estimator(results)}")
+    columns = (("centre", "boundary"), AXIS_NAMES)
+    kinds = ("tracking", "estimation")
+    for axes, title, names, kind in zip((where, estimate), titles, columns, kinds, strict=True):
+        axes.set_xticks(range(len(names)), names)
+        axes.set(ylabel=f"RMSE of the {kind} error [mm]", axisbelow=True)
+        axes.set_title(title, fontsize=10)
         axes.grid(axis="y", alpha=0.25)
-        axes.set_axisbelow(True)
         axes.margins(y=0.12)
     figure.suptitle(
         "Errors over all cases; centre: the middle half of each side of the workspace box"

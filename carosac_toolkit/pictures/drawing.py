@@ -19,6 +19,7 @@ VIOLIN_VALUES_MIN = 5  # values that have a distribution
 DOTTED_SAMPLES_MAX = 20  # samples up to which each is drawn as a dot
 TURNED_VIEW_ASPECT_MIN = 2.0  # times as far along y as along x: the view from above is turned
 LEGEND_CHARACTERS_PER_INCH = 11.0  # of a legend per inch
+STANDARD_VIEWS = (((0, 1), "from above"), ((0, 2), "from the side, along y"))
 SERIES_COLORS = (
     "#d1622b",
     "#1f6f8b",
@@ -29,6 +30,7 @@ SERIES_COLORS = (
     "#5a6b7b",
     "#c79a00",
 )
+Path = tuple[Array, Mapping[str, Any], Mapping[str, Any]]  # points, style in space, in a plane
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -47,7 +49,7 @@ def views(robot: Robot) -> list[tuple[tuple[int, int], str]]:
     if span[1] > TURNED_VIEW_ASPECT_MIN * span[0]:
         turned = "from above, turned: y to the right, x up"
         return [((1, 0), turned), ((1, 2), "from the side, along -x: y to the right")]
-    return [((0, 1), "from above"), ((0, 2), "from the side, along y")]
+    return list(STANDARD_VIEWS)
 
 
 def limits_of(paths: list[Array]) -> Array:
@@ -59,19 +61,53 @@ def limits_of(paths: list[Array]) -> Array:
     return np.stack([middle - half - 0.04 * longest, middle + half + 0.04 * longest], axis=1)
 
 
-def set_space(axes: Any, limits: Array) -> None:
-    """Set limits, aspect, view and labels of the view in three dimensions."""
+def set_space(
+    axes: Any, limits: Array, *, zoom: float = 0.95, elev: float = 22.0, azim: float = -50.0
+) -> None:
+    """Set limits, aspect, view and labels of the view in three dimensions; angles in degrees."""
     from matplotlib.ticker import MaxNLocator
 
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     spans = limits[:, 1] - limits[:, 0]
-    axes.set_box_aspect(spans / spans.max(), zoom=0.95)
-    axes.view_init(elev=22.0, azim=-50.0)
+    axes.set_box_aspect(spans / spans.max(), zoom=zoom)
+    axes.view_init(elev=elev, azim=azim)
     for axis, name, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", spans, strict=True):
         axis.set_label_text(f"{name} [m]")
         axis.labelpad = 12.0 * span / spans.max() - 2.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(labelsize=8)
+
+
+def draw_in_space(
+    figure: Figure, paths: Mapping[str, Path], planes: Sequence[tuple[tuple[int, int], str]]
+) -> None:
+    """Draw paths in space and in planes beside it, with one legend.
+
+    Args:
+        figure: An empty figure.
+        paths: Points in W [m], shape (K, 3), style in space and style in a plane, by label.
+        planes: Axes to the right and up, and title, of each of the two planes.
+    """
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
+    space = figure.add_subplot(grid[:, 0], projection="3d")
+    limits = limits_of([points for points, _, _ in paths.values()] or [np.zeros((1, 3))])
+    for label, (points, style, _) in paths.items():
+        space.plot(*points.T, label=label, **style)
+    set_space(space, limits)
+    for row, (pair, title) in enumerate(planes):
+        axes = figure.add_subplot(grid[row, 1])
+        for points, _, style in paths.values():
+            axes.plot(*points[:, list(pair)].T, **style)
+        set_plane(axes, pair, title, xlim=limits[pair[0]], ylim=limits[pair[1]])
+    put_legend(figure, space)
+
+
+def set_plane(axes: Any, pair: tuple[int, int], title: str, **limits: Any) -> None:
+    """Set labels, equal scales, title and grid of a view with these axes to the right and up."""
+    names = [f"{'xyz'[k]} [m]" for k in pair]
+    axes.set(xlabel=names[0], ylabel=names[1], aspect="equal", **limits)
+    axes.set_title(title, fontsize=9)
+    axes.grid(alpha=0.25)
 
 
 def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:

@@ -47,10 +47,8 @@ def draw_estimates(groups: Groups, note: str = "") -> Figure:
     if known:
         _draw_squares(panels[4], groups, squares)
     for axes in panels:
-        axes.set_xticks([])
-        axes.set_xlim(-0.6, len(groups) - 0.2)
+        axes.set(xticks=[], xlim=(-0.6, len(groups) - 0.2), axisbelow=True)
         axes.grid(axis="y", alpha=0.25)
-        axes.set_axisbelow(True)
     title = "Estimation error of all samples, first seed; bar: RMSE; dot: median"
     more = "; NEES of all cases: grey is where 95 % of their means are" if known else ""
     figure.suptitle(title + more + note)
@@ -73,10 +71,9 @@ def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, lis
         axes.annotate(f"{mean:.2g}", (place + 0.3, mean), xytext=(2, 0), fontsize=8,
                       textcoords="offset points", va="center")  # fmt: skip
     axes.axhline(1.0, color=MEASURED_COLOR, lw=0.8, ls="--")
-    axes.set_yscale("log")
+    axes.set(yscale="log", ylabel="over its degrees of freedom [-]")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_title("NEES of the pose", fontsize=10)
-    axes.set_ylabel("over its degrees of freedom [-]")
 
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:

@@ -73,15 +73,13 @@ def _draw_block(axes: Any, block: PairedBlock, colors: dict[str, str]) -> None:
         )  # fmt: skip
         ticks.setdefault(QUANTITY_TITLES[name], []).append(place)
     axes.axvline(1.0, color=MEASURED_COLOR, lw=0.9)
-    axes.set_xscale("log")
+    axes.set(xscale="log", xlabel=f"ratio to {block.baseline} [-]", ylim=(len(rows) - 0.4, -0.6))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("{x:g}")
     axes.tick_params(axis="x", which="both", labelsize=8)
-    axes.set_xlabel(f"ratio to {block.baseline} [-]")
     axes.set_yticks([sum(p) / len(p) for p in ticks.values()], list(ticks))
     for places in list(ticks.values())[1:]:
         axes.axhline(places[0] - 0.5, color=MEASURED_COLOR, lw=0.3)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="x", which="both", alpha=0.25)
     title = f"{block.robot}, {counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
     axes.set_title(title, fontsize=10)

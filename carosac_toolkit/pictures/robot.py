@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.pictures.drawing import set_plane, set_space
 from carosac_toolkit.pictures.pulleys import CableDrawing, draw_cables
 from carosac_toolkit.robot.robot import Robot
 
@@ -80,8 +81,6 @@ def _limits(report: RobotReport, drawn: list[Array]) -> Array:
 
 def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limits: Array) -> None:
     """Draw the view in three dimensions."""
-    from matplotlib.ticker import MaxNLocator
-
     robot = report.robot
     for k, edge in enumerate(box_edges(robot)):
         axes.plot(
@@ -106,18 +105,11 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         depthshade=False,
     )
     _draw_platform(axes, report)
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    spans = limits[:, 1] - limits[:, 0]
-    axes.set_box_aspect(spans / spans.max(), zoom=0.98)
-    axes.view_init(elev=20.0, azim=-52.0)
-    for axis, name, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", spans, strict=True):
-        axis.set_label_text(f"{name} [m]")
-        axis.labelpad = 12.0 * span / spans.max() - 2.0
-        axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
-        axis.set_tick_params(labelsize=8)
-    for name, point in exit_labels(robot, 0.08 * spans.max()):
+    set_space(axes, limits, zoom=0.98, elev=20.0, azim=-52.0)
+    span_max = (limits[:, 1] - limits[:, 0]).max()
+    for name, point in exit_labels(robot, 0.08 * span_max):
         x, y, z = point
-        axes.text(x, y, z + 0.025 * spans.max(), name, fontsize=7, ha="center")
+        axes.text(x, y, z + 0.025 * span_max, name, fontsize=7, ha="center")
 
 
 def _draw_pulleys(
@@ -203,11 +195,8 @@ def _draw_plane(
     axes.plot(*anchors.T, ".", color=PLATFORM_COLOR, ms=3)
     axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=2.5 if pulleys else 4)
     axes.plot(*robot.home_position[columns], "+", color="black", ms=8)
-    names = [f"{axis} [m]" for axis in "xyz"]
-    axes.set(xlabel=names[pair[0]], ylabel=names[pair[1]])
-    axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
-    axes.set_title("from above" if pair == (0, 1) else "along x", fontsize=9)
-    axes.grid(alpha=0.25)
+    title = "from above" if pair == (0, 1) else "along x"
+    set_plane(axes, pair, title, xlim=limits[pair[0]], ylim=limits[pair[1]])
 
 
 def _anchors(report: RobotReport) -> Array:

@@ -13,12 +13,11 @@ from carosac_toolkit.pictures.drawing import (
     MEASURED_COLOR,
     REST_COLOR,
     SERIES_COLORS,
+    draw_in_space,
     draw_violin,
-    limits_of,
     new_figure,
     put_legend,
     put_patches,
-    set_space,
     views,
 )
 from carosac_toolkit.validation.quantities import unit_for
@@ -31,28 +30,14 @@ if TYPE_CHECKING:
 def draw_paths(result: ValidationResult) -> Figure:
     """Draw the measured and the modelled paths in space, from above and from the side."""
     figure = new_figure(12.0, 7.2)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
-    space = figure.add_subplot(grid[:, 0], projection="3d")
-    paths = {"measured": (result.measured.position, MEASURED_COLOR)}
-    for name, (model, color) in _scored(result).items():
-        paths[name] = (_positions(model), color)
-    limits = limits_of([path for path, _ in paths.values()])
     dots = _dots(result)
-    for name, (path, color) in paths.items():
-        width = 1.6 if name == "measured" else 1.0
-        space.plot(*path.T, color=color, lw=width, label=name, **dots)
-    set_space(space, limits)
-    for row, (pair, title) in enumerate(views(result.robot)):
-        axes = figure.add_subplot(grid[row, 1])
-        for name, (path, color) in paths.items():
-            width = 1.4 if name == "measured" else 0.9
-            axes.plot(*path[:, list(pair)].T, color=color, lw=width, **dots)
-        axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
-        axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
-        axes.set_title(title, fontsize=9)
-        axes.grid(alpha=0.25)
+    black = {"color": MEASURED_COLOR, **dots}
+    paths = {"measured": (result.measured.position, {"lw": 1.6, **black}, {"lw": 1.4, **black})}
+    for name, (model, color) in _scored(result).items():
+        style = {"color": color, **dots}
+        paths[name] = (_positions(model), {"lw": 1.0, **style}, {"lw": 0.9, **style})
+    draw_in_space(figure, paths, views(result.robot))
     figure.suptitle(f"{result.robot.name}: path of the platform origin, {_count(result)}")
-    put_legend(figure, space)
     return figure
 
 
@@ -69,10 +54,9 @@ def draw_violins(result: ValidationResult) -> Figure:
             size = np.linalg.norm(error, axis=1) if column == 3 else np.abs(error[:, column])
             draw_violin(axes, size * factor, place, color)
         axes.set_title("norm" if column == 3 else "xyz"[column], fontsize=10)
-        axes.set_xticks([])
-        axes.set_xlim(-0.6, len(models) - 0.4)
         top = axes.get_ylim()[1]
-        axes.set_ylim(-0.04 * top, 1.04 * top)  # an error of zero stands clear of the edge
+        ends = (-0.04 * top, 1.04 * top)  # an error of zero stands clear of the edge
+        axes.set(xticks=[], xlim=(-0.6, len(models) - 0.4), ylim=ends)
         axes.grid(axis="y", alpha=0.25)
     panels[0].set_ylabel(f"absolute position error [{unit}]")
     figure.suptitle("Position error: distribution; bar: RMSE; dot: median")
@@ -98,10 +82,9 @@ def draw_time_series(result: ValidationResult) -> Figure:
         below.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         place.set_ylabel(f"{name} [m]")
         below.set_ylabel(f"error in {name} [{unit}]")
-        for axes in (place, below):
-            axes.grid(alpha=0.25)
-            axes.margins(x=0.005)
     for axes in panels:
+        axes.grid(alpha=0.25)
+        axes.margins(x=0.005)
         for k, (first, end) in enumerate(result.rests):
             shade = axes.axvspan(time[first], time[end - 1], color=REST_COLOR, lw=0, zorder=0)
             if k == 0 and axes is panels[0]:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from carosac_toolkit.plc.blocks import CONTROL, DIAGNOSIS, FROM_HOST, TO_HOST, TRUTH
+from carosac_toolkit.plc.blocks import CONTROL, DIAGNOSIS, FROM_HOST, MACHINE, TO_HOST, TRUTH
 from carosac_toolkit.plc.link import LinkError
 from carosac_toolkit.robot.hardware import ADS_TCP_PORT, AdsAddress, Hardware
 
@@ -84,11 +84,14 @@ class AdsLink:
             plc = pyads.Connection(ads.net_id, ads.port, ads.ip)
             plc.open()
         self._plc = plc
-        with _link_errors("cannot find the data block: "):
-            plc.set_timeout(max(1, round(1000.0 * self.timeout)))
-            self._handles = {TO_HOST: plc.get_handle(ads.to_host)}
-            if writing:
-                self._handles[FROM_HOST] = plc.get_handle(ads.from_host)
+        plc.set_timeout(max(1, round(1000.0 * self.timeout)))
+        symbols = {TO_HOST: ads.to_host, MACHINE: ads.machine}
+        symbols |= {FROM_HOST: ads.from_host} if writing else {}
+        self._handles = {}
+        for block, symbol in symbols.items():
+            with _link_errors(f"cannot find the symbol {symbol}: "):
+                self._handles[block] = plc.get_handle(symbol)
+        with _link_errors("cannot look for an emulated PLC: "):
             try:
                 for symbol in (TRUTH, CONTROL, DIAGNOSIS):
                     self._handles[symbol] = plc.get_handle(symbol)

@@ -4,8 +4,8 @@ Every 8-byte number starts at a multiple of 8 bytes and every block is a multipl
 so that the layout is the same under every ``pack_mode`` of TwinCAT. Little-endian. Lengths, rates
 and the period are in the PLC's units of length and in seconds; `Hardware` converts them.
 
-Every PLC has the blocks `FROM_HOST` and `TO_HOST`. Only an emulated one has `CONTROL`, through
-which faults are injected, `DIAGNOSIS`, its counters, and `TRUTH`, the state of its robot.
+Every PLC has the blocks `FROM_HOST`, `TO_HOST` and `MACHINE`. Only an emulated one has `CONTROL`,
+through which faults are injected, `DIAGNOSIS`, its counters, and `TRUTH`, the state of its robot.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError
 
-BLOCK_LAYOUT = 2  # version of the layout; both sides refuse another one
-FROM_HOST = "from_host"  # names of the blocks; over ADS the robot file names the first two symbols
+BLOCK_LAYOUT = 3  # version of the layout; both sides refuse another one
+FROM_HOST = "from_host"  # names of the blocks; over ADS the robot file names three symbols
 TO_HOST = "to_host"
+MACHINE = "machine"
 CONTROL = "Emulator.control"
 DIAGNOSIS = "Emulator.diagnosis"
 TRUTH = "Emulator.truth"
@@ -48,6 +49,7 @@ class Answer(IntEnum):
     WRONG_STATE = 3  # not in this state
     CAUSE_REMAINS = 4  # the cause of the fault is still there
     UNKNOWN = 5  # no such request
+    ANOTHER_ROBOT = 6  # the host has the file of another robot
 
 
 class DriveStatus(IntEnum):
@@ -69,7 +71,7 @@ class Field:
 
     Attributes:
         name: As in the PLC program.
-        kind: IEC type, ``UDINT``, ``ULINT`` or ``LREAL``.
+        kind: IEC type, ``UDINT``, ``ULINT``, ``LREAL`` or ``STRING(31)``.
         comment: Meaning and unit, as in the PLC program.
         count: 0 for a single number, else the length of the array.
     """
@@ -80,7 +82,7 @@ class Field:
     count: int = 0
 
 
-_TYPES = {"UDINT": "<u4", "ULINT": "<u8", "LREAL": "<f8"}
+_TYPES = {"UDINT": "<u4", "ULINT": "<u8", "LREAL": "<f8", "STRING(31)": "S32"}
 
 
 @dataclass(frozen=True)
@@ -143,11 +145,13 @@ def from_host(n: int) -> Block:
         Field("layout", "UDINT", f"version of this layout, {BLOCK_LAYOUT}"),
         Field("cables", "UDINT", "number of cables"),
         Field("sequence", "UDINT", "heartbeat: one more at each write"),
-        Field("session", "UDINT", "number that the host drew; the PLC obeys one"),
+        Field("host_number", "UDINT", "public number of the host; owner shows it"),
         Field("request", "UDINT", "0 none, 1 enable, 2 stop, 3 disable, 4 reset, 5 hold a fault"),
         Field("request_number", "UDINT", "one more at each new request"),
         Field("follow", "UDINT", "1: length and rate are to be followed"),
         Field("command", "UDINT", "one more at each new command"),
+        Field("session", "ULINT", "secret number that the host drew; the PLC obeys one"),
+        Field("machine", "ULINT", "hash of the robot file; the PLC enables only with its own"),
         Field("period", "LREAL", "time between two commands [s]"),
         Field("length", "LREAL", "set position [unit]", n),
         Field("rate", "LREAL", "set velocity [unit/s]", n),
@@ -163,12 +167,13 @@ def to_host(n: int) -> Block:
         Field("cables", "UDINT", "number of cables"),
         Field("sequence", "UDINT", "heartbeat: one more each PLC cycle"),
         Field("echo", "UDINT", "newest sequence seen from the session it obeys"),
-        Field("owner", "UDINT", "session that it obeys; 0: nobody"),
+        Field("owner", "UDINT", "host_number of the session that it obeys; 0: nobody"),
         Field("state", "UDINT", "1 off, 3 enabled, 4 following, 5 stopping, 6 fault, 7 estop"),
         Field("fault", "UDINT", "0 none, else the number of the fault"),
         Field("fault_axis", "UDINT", "0 none, else the cable, from 1"),
         Field("answered", "UDINT", "request_number of the newest request answered"),
-        Field("answer", "UDINT", "1 done, 2 not owner, 3 wrong state, 4 cause remains, 5 unknown"),
+        Field("answer", "UDINT", "1 done, 2 not owner, 3 wrong state, 4 cause remains, 5 unknown, "
+              "6 another robot"),
         Field("command_echo", "UDINT", "newest command followed"),
         Field("has_tension", "UDINT", "1: tension is measured"),
         Field("time", "LREAL", "when length was measured, by the clock of the PLC [s]"),
@@ -179,6 +184,28 @@ def to_host(n: int) -> Block:
         Field("drive_status", "ULINT", "0 off, 1 holding, 2 moving, 3 tripped", n),
         Field("sequence_end", "UDINT", "as sequence: the data are of one cycle"),
         Field("boot", "UDINT", "another number at each start of the PLC program"),
+    ))  # fmt: skip
+
+
+MACHINE_HEAD = Block("ST_Machine", "its members that do not depend on the number of cables", (
+    Field("layout", "UDINT", f"version of this layout, {BLOCK_LAYOUT}"),
+    Field("cables", "UDINT", "number of cables"),
+    Field("hash", "ULINT", "of all numbers of the robot file that describe the machine"),
+    Field("mass", "LREAL", "platform with payloads [kg]"),
+))  # fmt: skip
+
+
+def machine(n: int) -> Block:
+    """Return the block of constants in which PLC and robot file must agree, for n cables."""
+    return Block("ST_Machine", "constants of the machine, for one robot file", (
+        *MACHINE_HEAD.fields,
+        Field("sign", "LREAL", "1: the number grows as cable is paid out, else -1", n),
+        Field("scale", "LREAL", "length of the unit [m]", n),
+        Field("length_min", "LREAL", "shortest unstrained length [unit]", n),
+        Field("length_max", "LREAL", "longest unstrained length [unit]", n),
+        Field("speed_max", "LREAL", "speed limit [unit/s]", n),
+        Field("acceleration_max", "LREAL", "acceleration limit [unit/s^2]", n),
+        Field("name", "STRING(31)", "start of the name of the chain, in ASCII", n),
     ))  # fmt: skip
 
 

@@ -32,6 +32,7 @@ from carosac_toolkit.physics.rest.homing import homing_lengths
 from carosac_toolkit.plc import reader
 from carosac_toolkit.plc.blocks import Answer, DriveStatus, Injection, Request
 from carosac_toolkit.plc.exchange import PlcExchange
+from carosac_toolkit.plc.identity import machine_values
 from carosac_toolkit.plc.imu_udp import ImuListener
 from carosac_toolkit.plc.injection import inject
 from carosac_toolkit.plc.link import build_link
@@ -72,7 +73,7 @@ class PlcDriver(
         """Connect to the PLC and read; enable nothing, and home no offset.
 
         Raises:
-            CarosacError: The PLC does not answer, or has another data block.
+            CarosacError: The PLC does not answer, has other data blocks, or is of another robot.
             InvalidField: No such link, or a suite with an IMU that the robot file does not have.
         """
         if self.exchange is not None:
@@ -83,7 +84,7 @@ class PlcDriver(
                                "hardware.imu")  # fmt: skip
         link = build_link(settings.link, self._hardware_of_file, settings.for_link)
         exchange = PlcExchange(
-            link, self._robot.n, period=settings.io_period, writing=settings.motion
+            link, machine_values(self._robot), period=settings.io_period, writing=settings.motion
         )
         exchange.open()
         try:
@@ -329,7 +330,7 @@ class PlcDriver(
         other = exchange.other
         if other:
             raise CarosacError(
-                f"{self.name}: the PLC obeys another host, session {other}; disable it there first"
+                f"{self.name}: the PLC obeys another host, number {other}; disable it there first"
             )
 
     def _request(self, request: Request) -> None:
@@ -339,7 +340,7 @@ class PlcDriver(
             return
         raise CarosacError(
             f"{self.name}: the PLC refused to {request.name.lower()}: {_REFUSALS[answer]}; it is "
-            f"{self.status()}, and obeys session {self._reading().values['owner']}"
+            f"{self.status()}, and obeys host number {self._reading().values['owner']}"
         )
 
     def _wait_for_rest(self) -> None:
@@ -368,4 +369,5 @@ _REFUSALS = {
     Answer.WRONG_STATE: "not in this state",
     Answer.CAUSE_REMAINS: "the cause of the fault is still there",
     Answer.UNKNOWN: "it does not know this request",
+    Answer.ANOTHER_ROBOT: "it is of another robot than the robot file",
 }

@@ -3,7 +3,8 @@
 The thread makes all calls of the link, which therefore needs no locks. A connection that broke
 stays broken until it is opened anew, which the thread does as well. Without `writing` nothing is
 ever written. With it, the exchange writes from a request on until `quiet`, and never while the PLC
-obeys another session: all hosts share one block.
+obeys another session: all hosts share one block. After each connect it compares the machine of the
+PLC with that of the robot file, and exchanges nothing with the PLC of another robot.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc import blocks, identity
 from carosac_toolkit.plc.blocks import FROM_HOST, TO_HOST, TRUTH, Answer, Request
 from carosac_toolkit.plc.clock_offset import ClockOffset
 from carosac_toolkit.plc.link import LinkError, PlcLink
@@ -26,6 +27,7 @@ from carosac_toolkit.plc.reading import LinkCounters, Reading
 FIRST_DATA_TIMEOUT_S = 2.0  # beyond it a PLC is off or elsewhere
 RECONNECT_PERIOD_S = 0.2
 FAILURES_BEFORE_RECONNECT = 4  # calls in a row: a lost packet or two is no broken connection
+CLOCK_MAX_S = 1e11  # beyond it a double no longer resolves 0.02 ms
 _RELEASING = (Request.DISABLE, Request.HOLD)
 
 
@@ -34,29 +36,35 @@ class PlcExchange:
 
     Attributes:
         counters: Counts of cycles, errors and restarts.
-        session: Number that identifies this host to the PLC.
+        number: Public number of this host, which the PLC shows while it obeys this host.
         reading: Newest data from the PLC, or None.
         error: Newest error in words, or None if the last cycle succeeded.
+        refusal: Why this is the PLC of another robot, or None.
         emulated: Whether the PLC is an emulated one, which knows the true state of its robot.
         wants_truth: Whether to read that state as well, which takes one more call a cycle.
     """
 
-    def __init__(self, link: PlcLink, n: int, *, period: float, writing: bool) -> None:
+    def __init__(
+        self, link: PlcLink, machine: Mapping[str, Any], *, period: float, writing: bool
+    ) -> None:
         """Set up; `open` connects.
 
         Args:
             link: Wire to the PLC; from `open` on only the thread calls it.
-            n: Number of cables.
+            machine: Members of `blocks.machine` by name, which those of the PLC must equal.
             period: Period of the thread [s]; commands are sent at once.
             writing: Whether anything may be written at all.
         """
         self.counters = LinkCounters()
-        self.session = secrets.randbelow(2**32 - 1) + 1
+        self.number = secrets.randbelow(2**32 - 1) + 1
         self.reading: Reading | None = None
         self.error: str | None = None
+        self.refusal: str | None = None
         self.emulated = False
         self.wants_truth = False
+        n = int(machine["cables"])
         self._link, self._n, self._period, self._writing = link, n, period, writing
+        self._machine = machine
         self._to_host, self._from_host = blocks.to_host(n), blocks.from_host(n)
         self._truth = blocks.truth(n)
         self._offset = ClockOffset()
@@ -72,8 +80,9 @@ class PlcExchange:
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
-            "layout": blocks.BLOCK_LAYOUT, "cables": n, "session": self.session, "follow": 0,
-            "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
+            "layout": blocks.BLOCK_LAYOUT, "cables": n, "host_number": self.number,
+            "session": secrets.randbelow(2**64 - 1) + 1, "machine": machine["hash"],
+            "follow": 0, "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
             "period": 0.0, "length": 0.0, "rate": 0.0, "fault": 0,
         }  # fmt: skip
         self._sequence, self._failures, self._ended = 0, 0, 0.0
@@ -82,21 +91,20 @@ class PlcExchange:
         """Start the thread and wait for the first data.
 
         Raises:
-            CarosacError: No data came within `FIRST_DATA_TIMEOUT_S`; the thread has ended then.
+            CarosacError: No data came within `FIRST_DATA_TIMEOUT_S`, or the PLC is of another
+                robot; the thread has ended then.
         """
         self._running = True
         self._thread = threading.Thread(target=self._run, name="plc-exchange", daemon=True)
         self._thread.start()
         end = time.monotonic() + FIRST_DATA_TIMEOUT_S
         with self._answered:
-            while self.reading is None and time.monotonic() < end:
-                self._answered.wait(end - time.monotonic())
+            while not (self.reading or self.refusal) and time.monotonic() < end:
+                self._answered.wait(max(0.0, end - time.monotonic()))
         if self.reading is None:
-            reason = self.error or "no answer"
+            late = f"{self.error or 'no answer'} after {FIRST_DATA_TIMEOUT_S:g} s"
             self.close()
-            raise CarosacError(
-                f"PLC {self._link.address}: {reason} after {FIRST_DATA_TIMEOUT_S:g} s"
-            )
+            raise CarosacError(f"PLC {self._link.address}: {self.refusal or late}")
         return self.reading
 
     def close(self) -> None:
@@ -110,10 +118,10 @@ class PlcExchange:
 
     @property
     def other(self) -> int:
-        """Another session that the PLC obeys, by its newest data; 0 if there is none."""
+        """Number of another host that the PLC obeys, by its newest data; 0 if there is none."""
         reading = self.reading
         owner = 0 if reading is None else int(reading.values["owner"])
-        return 0 if owner == self.session else owner
+        return 0 if owner == self.number else owner
 
     @property
     def age(self) -> float:
@@ -268,8 +276,9 @@ class PlcExchange:
             due = now
         with self._wake:
             self._wake.wait_for(
-                lambda: self._fresh or self._calls or not self._running, max(0.0, due - now)
-            )
+                lambda: self._fresh or (self._calls and self.error is None) or not self._running,
+                max(0.0, due - now),
+            )  # calls are made after a cycle that succeeded: one that failed waits for its tick
         return min(due, time.monotonic())
 
     def _cycle(self) -> None:
@@ -340,6 +349,10 @@ class PlcExchange:
         if not blocks.whole(self._to_host, values, self._n):
             self.counters.torn += 1
             return
+        if not abs(values["time"]) <= CLOCK_MAX_S:
+            raise LinkError(
+                f"time of the PLC: got {values['time']} s; allowed: at most {CLOCK_MAX_S:g} s"
+            )
         last = self.reading
         if last is not None and (
             values["boot"] != last.values["boot"] or values["time"] < last.values["time"]
@@ -350,7 +363,7 @@ class PlcExchange:
         if alive:
             self._offset.add(received, values["time"])
         truth = None
-        if self.wants_truth and self.emulated:
+        if self.wants_truth and self._link.has(TRUTH):
             truth = self._truth.unpack(self._link.read(TRUTH, self._truth.size))
         self.reading = Reading(
             values=values, received=received, truth=truth,
@@ -359,15 +372,21 @@ class PlcExchange:
         )  # fmt: skip
 
     def _connect(self) -> bool:
-        """Open the connection; return whether that succeeded."""
+        """Open the connection to the PLC of this robot; return whether that succeeded."""
         try:
             self._link.connect(writing=self._writing)
-        except LinkError as error:
+            plc = identity.read_machine(self._link, self._n)
+            self.refusal = identity.refusal(plc, self._machine)
+            if self.refusal is not None:
+                raise LinkError(self.refusal)
+        except (LinkError, blocks.WrongBlock) as error:
             self._disconnect()
             self._failed(str(error))
+            with self._answered:
+                self._answered.notify_all()
             return False
         self._connected, self._heard, self._failures = True, False, 0
-        self.emulated = self._link.has(TRUTH)
+        self.emulated = self.emulated or self._link.has(TRUTH)  # known also while reconnecting
         self.counters.reconnects += self.reading is not None
         return True
 

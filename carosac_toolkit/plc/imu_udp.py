@@ -2,6 +2,8 @@
 
 A line is ``imu NUMBER TIME GX GY GZ AX AY AZ``: a number that grows by one, the time by the clock
 of the sensor [s], the angular rate [rad/s] and the specific force [m/s^2] in the platform frame.
+UDP knows no senders: only datagrams from the address of the robot file count, and of those that
+come from this machine only the ones of this user or root.
 """
 
 from __future__ import annotations
@@ -17,12 +19,16 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.local_peer import is_another_user
 from carosac_toolkit.loop.values import Imu
 from carosac_toolkit.plc.clock_offset import ClockOffset
+from carosac_toolkit.plc.imu_track import SampleTrack, Verdict
 from carosac_toolkit.robot.hardware import ImuSource
 
 LINE_BYTES_MAX = 512
 SAMPLES_KEPT_MAX = 2000  # 10 s at 200 Hz
+CHECK_PERIOD_S = 1.0  # between two looks at the user of a sender
+CHECK_INTERVAL_MIN_S = 0.002  # between looks at new senders: each takes tenths of that
 RECEIVE_TIMEOUT_S = 0.1  # within which the thread notices that it has to end
 
 
@@ -54,7 +60,8 @@ class ImuListener:
 
     Attributes:
         received: Number of samples taken.
-        refused: Number of lines that are no sample, or older than one taken already.
+        refused: Number of lines that are no sample, or do not go on from those taken already.
+        foreign: Number of datagrams of other senders, or of other users of this machine.
         lost: Number of samples that never came.
     """
 
@@ -64,11 +71,14 @@ class ImuListener:
         Raises:
             CarosacError: The port is in use, or the address is not of this host.
         """
-        self.received, self.refused, self.lost = 0, 0, 0
+        self.received = self.refused = self.foreign = self.lost = 0
         self._samples: deque[tuple[float, Array]] = deque(maxlen=SAMPLES_KEPT_MAX)
         self._offset = ClockOffset()
-        self._last: int | None = None
-        self._stamp = -math.inf
+        self._track = SampleTrack()
+        self._source = source
+        self._trusted: tuple[str, int] | None = None  # sender whose user was checked
+        self._checked = self._looked = -math.inf
+        self._accepted = time.monotonic()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((source.ip, source.port))
@@ -81,6 +91,11 @@ class ImuListener:
         self._running = True
         self._thread = threading.Thread(target=self._listen, name="imu-udp", daemon=True)
         self._thread.start()
+
+    @property
+    def silence(self) -> float:
+        """Time since the newest sample that was taken, or since the start [s]."""
+        return time.monotonic() - self._accepted
 
     def take(self, origin: float) -> Imu | None:
         """Return all samples since the last call, with times of this host since `origin` [s]."""
@@ -100,12 +115,33 @@ class ImuListener:
     def _listen(self) -> None:
         while self._running:
             try:
-                data = self._socket.recv(LINE_BYTES_MAX)
+                data, sender = self._socket.recvfrom(LINE_BYTES_MAX)
             except TimeoutError:
                 continue
             except OSError:
                 return
-            self._take(data, time.monotonic())
+            received = time.monotonic()
+            if self._trusts(sender, received):
+                self._take(data, received)
+            else:
+                self.foreign += 1
+
+    def _trusts(self, sender: tuple[str, int], now: float) -> bool:
+        """Return whether a datagram is of the sensor: its address, and no other user of here."""
+        if not self._source.is_sender(sender[0]):
+            return False
+        known = sender == self._trusted
+        if known and now - self._checked < CHECK_PERIOD_S:
+            return True
+        if not known and now - self._looked < CHECK_INTERVAL_MIN_S:
+            return False
+        self._looked = now
+        trusted = not is_another_user("udp", sender)
+        if trusted:
+            self._trusted, self._checked = sender, now
+        elif known:
+            self._trusted = None
+        return trusted
 
     def _take(self, data: bytes, received: float) -> None:
         """Keep one sample."""
@@ -114,14 +150,16 @@ class ImuListener:
             self.refused += 1
             return
         number, stamp, values = sample
-        if self._last is not None and number <= self._last:
-            if stamp > self._stamp - 1.0:  # late or doubled; a sensor that restarted begins anew
-                self.refused += 1
-                return
+        last = self._track.number
+        verdict = self._track.judge(number, stamp, received)
+        if verdict is Verdict.REFUSED:
+            self.refused += 1
+            return
+        if verdict is Verdict.RESTARTED:
             self._offset.clear()
-        elif self._last is not None:
-            self.lost += number - self._last - 1
-        self._last, self._stamp = number, stamp
+        elif last is not None:
+            self.lost += number - last - 1
+        self._accepted = received
         self._offset.add(received, stamp)
         self.received += 1
         self._samples.append((stamp, values))

@@ -27,9 +27,10 @@ class LinkError(CarosacError):
 class PlcLink(Protocol):
     """One connection to a PLC, over which whole blocks are read and written.
 
-    Blocks go by the names in `carosac_toolkit.plc.blocks`: every PLC has `FROM_HOST` and
-    `TO_HOST`; `CONTROL`, `DIAGNOSIS` and `TRUTH` exist in an emulated one only. Their bytes pass
-    unchanged. A block that is torn on its way is detected by its sequence numbers and discarded.
+    Blocks go by the names in `carosac_toolkit.plc.blocks`: every PLC has `FROM_HOST`, which may be
+    write-only, `TO_HOST` and `MACHINE`; `CONTROL`, `DIAGNOSIS` and `TRUTH` exist in an emulated
+    one only. Their bytes pass unchanged. A block that is torn on its way is detected by its
+    sequence numbers and discarded.
 
     Errors: every failure of the network, of its library or of the PLC is a `LinkError`. The
     exchange counts it, and after several in a row it calls `close` and then `connect`. Any other

@@ -14,6 +14,7 @@ from carosac_toolkit.loop.values import Measurement, Stamped, State
 from carosac_toolkit.plc.blocks import DriveStatus
 from carosac_toolkit.plc.exchange import PlcExchange
 from carosac_toolkit.plc.imu_udp import ImuListener
+from carosac_toolkit.plc.plausible import check_plausible
 from carosac_toolkit.plc.reading import LinkCounters, Reading
 from carosac_toolkit.plc.settings import (
     EMULATED_SILENCE_MAX_S,
@@ -105,7 +106,12 @@ class PlcReader:
             return Fault.STALE_DATA
         if self._enabled and exchange.other:
             return Fault.OWNER
-        return Fault.NONE
+        return Fault.STALE_DATA if self._imu_lost else Fault.NONE
+
+    @property
+    def _imu_lost(self) -> bool:
+        """True if the IMU that the suite asks for is silent."""
+        return self._imu is not None and self._imu.silence > self._settings.imu_lost_after
 
     @property
     def fault_text(self) -> str:
@@ -117,6 +123,12 @@ class PlcReader:
             if exchange.age <= self.lost_after:
                 return "lost connection: the PLC was started anew; home again"
             return f"lost connection: no answer for {exchange.age:.2f} s ({exchange.error})"
+        if self._imu is not None and self.link_fault is Fault.STALE_DATA and self._imu_lost:
+            return (
+                f"stale data: no sample of the IMU for {self._imu.silence:.2f} s; allowed: "
+                f"{self._settings.imu_lost_after:g} s ({self._imu.received} came, "
+                f"{self._imu.foreign} datagrams of others were refused)"
+            )
         axis = exchange.reading.values["fault_axis"]
         names = self._robot.cable_names
         cable = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""
@@ -124,9 +136,14 @@ class PlcReader:
         return f"{fault}{number}{cable}: {fault.meaning}"
 
     def measure(self) -> Measurement:
-        """Return the newest data that came from the PLC."""
+        """Return the newest data that came from the PLC.
+
+        Raises:
+            InvalidField: A number that is not finite, or beyond what winches can do.
+        """
         reading, hardware = self._reading(), self._hardware
         values = reading.values
+        check_plausible(values, self._robot, hardware)
         stamp = np.array([self._ticks.since(reading.measured)])
         rate = hardware.unit * values["rate"]
         tension = None

@@ -14,6 +14,7 @@ Point = tuple[float, float, float]
 
 SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
 EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
+COMMAND_PERIOD_MAX_S = 0.1  # of the PLC: commands that stop coming are followed on for 3 periods
 _SENSOR_SUITES = ("lengths", "lengths+imu")
 
 
@@ -33,6 +34,8 @@ class PlcDriverSettings:
         lost_after: Silence of the PLC after which the connection counts as lost, and standstill of
             its heartbeat or clock after which its data are stale [s]. None: `SILENCE_MAX_S`, and
             `EMULATED_SILENCE_MAX_S` for an emulated PLC, which has to wait for processor time.
+        imu_lost_after: Silence of the IMU after which its data are stale, where `suite` asks for it
+            [s]; an estimator that goes on without it would be wrong unnoticed.
         suite: ``lengths``, or ``lengths+imu`` if the robot file names an IMU.
         start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; a real
             robot does not move. None: it stays where it is.
@@ -50,6 +53,7 @@ class PlcDriverSettings:
     io_period: float = 0.005
     timeout: float | None = None
     lost_after: float | None = None
+    imu_lost_after: float = 0.5
     suite: str = "lengths"
     start_position: Point | None = None
     set_down: bool = False
@@ -62,7 +66,11 @@ class PlcDriverSettings:
         if not isinstance(self.link_settings, Mapping):
             allowed = 'settings of the link by name, such as {"port": 48901}'
             raise InvalidField("link_settings", repr(self.link_settings), allowed)
-        check_fields(self, positive=("period", "io_period"))
+        check_fields(self, positive=("period", "io_period", "imu_lost_after"))
+        if self.period > COMMAND_PERIOD_MAX_S:
+            raise InvalidField(
+                "period", f"{self.period} s", f"<= {COMMAND_PERIOD_MAX_S} s, the limit of the PLC"
+            )
         for name in ("timeout", "lost_after"):
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name), "s")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,8 @@ from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples
 from carosac_toolkit.robot.robot import Robot
+
+Channel = TypeVar("Channel", Stamped, PoseSamples, Imu)
 
 STAMPED_CHANNELS = ("length_rate", "tension", "command")
 
@@ -150,8 +153,8 @@ class Recording:
             length_rate=_cut(self.length_rate, first, last),
             tension=_cut(self.tension, first, last),
             command=_cut(self.command, first, last),
-            poses=_cut_poses(self.poses, first, last),
-            imu=_cut_imu(self.imu, first, last),
+            poses=_cut(self.poses, first, last),
+            imu=_cut(self.imu, first, last),
         )
 
     def require_cables(self, robot: Robot) -> None:
@@ -209,33 +212,10 @@ def _inertial(imu: Imu | None, after: float, until: float) -> Imu | None:
     )
 
 
-def _cut(channel: Stamped | None, first: float, last: float) -> Stamped | None:
+def _cut(channel: Channel | None, first: float, last: float) -> Channel | None:
     """Return the samples with first <= time <= last, or None where there are none."""
     if channel is None:
         return None
     keep = (channel.time >= first) & (channel.time <= last)
-    return Stamped(time=channel.time[keep], value=channel.value[keep]) if keep.any() else None
-
-
-def _cut_poses(poses: PoseSamples | None, first: float, last: float) -> PoseSamples | None:
-    if poses is None:
-        return None
-    keep = (poses.time >= first) & (poses.time <= last)
-    if not keep.any():
-        return None
-    return PoseSamples(
-        time=poses.time[keep], position=poses.position[keep], quaternion=poses.quaternion[keep]
-    )
-
-
-def _cut_imu(imu: Imu | None, first: float, last: float) -> Imu | None:
-    if imu is None:
-        return None
-    keep = (imu.time >= first) & (imu.time <= last)
-    if not keep.any():
-        return None
-    return Imu(
-        time=imu.time[keep],
-        angular_rate=imu.angular_rate[keep],
-        specific_force=imu.specific_force[keep],
-    )
+    samples = {item.name: getattr(channel, item.name)[keep] for item in fields(channel)}
+    return replace(channel, **samples) if keep.any() else None

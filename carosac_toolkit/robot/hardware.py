@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -12,6 +13,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.local_peer import is_loopback
 from carosac_toolkit.base.numbers import check_positive, check_whole
 
 NET_ID_PATTERN = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
@@ -31,6 +33,7 @@ class AdsAddress:
         timeout: After which a call is given up [s].
         from_host: Symbol of the structure that the host writes.
         to_host: Symbol of the structure that the host reads.
+        machine: Symbol of the constants that must agree with the robot file.
     """
 
     net_id: str = "127.0.0.1.1.1"
@@ -39,6 +42,7 @@ class AdsAddress:
     timeout: float = 0.05
     from_host: str = "CaRoSaC.from_host"
     to_host: str = "CaRoSaC.to_host"
+    machine: str = "CaRoSaC.machine"
 
     def __post_init__(self) -> None:
         """Refuse an invalid address."""
@@ -52,7 +56,7 @@ class AdsAddress:
             raise InvalidField("hardware.ads.net_id", repr(self.net_id), allowed)
         check_whole("hardware.ads.port", self.port, 1, PORT_MAX)
         check_positive("hardware.ads.timeout", self.timeout, "s")
-        for name in ("ip", "from_host", "to_host"):
+        for name in ("ip", "from_host", "to_host", "machine"):
             if not str(getattr(self, name)).strip():
                 raise InvalidField(f"hardware.ads.{name}", "nothing", "a non-empty text")
 
@@ -65,17 +69,38 @@ class ImuSource:
         source: How; ``udp`` is one datagram per line of text.
         ip: Address of this host on which to listen.
         port: UDP port.
+        sender: IP address of the sensor; datagrams of others are refused. None: this machine
+            itself, for an `ip` that only this machine can reach.
     """
 
     source: str = "udp"
     ip: str = LOOPBACK_ADDRESS
     port: int = 5005
+    sender: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse another protocol."""
+        """Refuse another protocol, and a sensor elsewhere without its address."""
         if self.source != "udp":
             raise InvalidField("hardware.imu.source", repr(self.source), "'udp'")
         check_whole("hardware.imu.port", self.port, 1, PORT_MAX)
+        if self.sender is None and not is_loopback(self.ip):
+            allowed = f"the IP address of the sensor, as others can reach {self.ip} too"
+            raise InvalidField("hardware.imu.sender", "none", allowed)
+        if self.sender is not None and not _is_address(self.sender):
+            raise InvalidField("hardware.imu.sender", repr(self.sender), "an IP address")
+
+    def is_sender(self, address: str) -> bool:
+        """Return whether the sensor sends from an IP address."""
+        return is_loopback(address) if self.sender is None else address == self.sender
+
+
+def _is_address(text: str) -> bool:
+    """Return whether a text is an IP address."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 @dataclass(frozen=True, kw_only=True)

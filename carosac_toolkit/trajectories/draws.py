@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -39,10 +40,7 @@ def random_minimum_snap(
         count: Number of points, >= 2.
         distance_min: Of neighbouring points [m]; None: a quarter of the shortest edge of the box.
     """
-
-    def make(points: Array) -> Trajectory:
-        return minimum_snap(points, speed_max=speed_max, acceleration_max=acceleration_max)
-
+    make = partial(minimum_snap, speed_max=speed_max, acceleration_max=acceleration_max)
     return _fitted(make, draw_points(robot, rng, count=count, distance_min=distance_min), robot)
 
 
@@ -59,10 +57,7 @@ def random_spline(
 
     Arguments and treatment of the box as in `random_minimum_snap`.
     """
-
-    def make(points: Array) -> Trajectory:
-        return cubic_spline(points, speed_max=speed_max, acceleration_max=acceleration_max)
-
+    make = partial(cubic_spline, speed_max=speed_max, acceleration_max=acceleration_max)
     return _fitted(make, draw_points(robot, rng, count=count, distance_min=distance_min), robot)
 
 

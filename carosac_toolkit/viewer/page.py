@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import html
 import io
-import ipaddress
 import socket
 import threading
 import time
@@ -13,6 +12,7 @@ from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.viewer.admission import Admission
 from carosac_toolkit.viewer.colors import legend_html
 from carosac_toolkit.viewer.geometry import camera
 from carosac_toolkit.viewer.picture import Picture
@@ -58,7 +58,8 @@ class Page:
             plain: True for a page that is cheap to draw, for a browser without a GPU.
         """
         self.robot, self.rate, self._followed, self.plain = robot, rate, followed, plain
-        self.server = start_server(host, port, title)
+        self._admission = Admission(host)
+        self.server = start_server(host, port, title, self._admission)
         self.picture: Picture | None = None
         self._drawing = threading.Lock()
         server: Any = self.server
@@ -79,9 +80,10 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        address = f"http://{self.server.get_host()}:{self.server.get_port()}"
-        return f"{address}/?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
+        """Address of the page, with its secret."""
+        name = self._admission.name
+        address = f"http://{name}:{self.server.get_port()}{self._admission.path}"
+        return f"{address}?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
 
     def offer(self, picture: Picture) -> None:
         """Show a picture soon, unless a newer one comes first; never waits."""
@@ -189,8 +191,8 @@ def note_html(text: str, name: str = "note", *, problem: bool = True) -> str:
     )
 
 
-def start_server(host: str, port: int, title: str) -> Any:
-    """Start viser.
+def start_server(host: str, port: int, title: str, admission: Admission) -> Any:
+    """Start viser, for requests that are admitted.
 
     Raises:
         InvalidField: A port that is none, or an address that cannot be listened at.
@@ -209,7 +211,10 @@ def start_server(host: str, port: int, title: str) -> Any:
     except OSError as error:
         allowed = f"an address of this machine ({error.strerror or error})"
         raise InvalidField("--host", repr(host), allowed) from error
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; commands say where the page is
+    with (
+        admission.installed(),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):  # its banner; commands say where the page is
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
@@ -217,13 +222,3 @@ def start_server(host: str, port: int, title: str) -> Any:
     server.scene.configure_default_lights(enabled=True, cast_shadow=False)
     server.scene.add_light_ambient("/light", intensity=1.2)
     return server
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach an address."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -94,12 +94,14 @@ def test_any_client_reads_the_counters_and_injects_faults(emulator, address):
             client.write(blocks.TRUTH, bytes(blocks.truth(4).size))
         with pytest.raises(CarosacError, match="ADS code 0x705"):
             client.write("CaRoSaC.from_host", b"short")
-        assert client.read("carosac.FROM_HOST", 4) == bytes(4)  # names count without case
+        with pytest.raises(CarosacError, match="ADS code 0x704"):
+            client.read("CaRoSaC.from_host", 4)
+        assert client.read("carosac.TO_HOST", 4) == bytes([3, 0, 0, 0])  # names without case
 
 
 def test_data_of_another_layout_are_not_heard(emulator, address):
-    values = {"layout": 9, "cables": 4, "session": 3, "sequence": 1, "sequence_end": 1,
-              "request": 1, "request_number": 5}  # fmt: skip
+    values = {"layout": 9, "cables": 4, "session": 3, "host_number": 3, "sequence": 1,
+              "sequence_end": 1, "request": 1, "request_number": 5}  # fmt: skip
     with PlcClient(4, address) as client:
         client.write("CaRoSaC.from_host", from_host(4).pack(values))
         emulator.step()

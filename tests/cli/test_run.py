@@ -156,6 +156,8 @@ def test_an_enabled_run_goes_where_it_is_told_and_ends_at_rest(tmp_path, capsys)
     "controller, fault, said, steered",
     [
         ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
+        ("Exiting", "controller", "controller Exiting: called sys.exit(None)", "by an open input"),
+        ("Interrupting", "controller", "KeyboardInterrupt", "by an open input"),
         ("Far", "command", "from where the winch stands", "by an open input"),
         ("Hanging", "controller", "the controller gave no command for", "by an open input"),
     ],
@@ -174,6 +176,12 @@ def test_a_controller_that_fails_or_hangs_ends_the_run_and_is_named(
     run = run_of(tmp_path)
     assert at_rest(run)
     assert "at_rest" in names(run)
+
+
+def test_a_controller_that_exits_before_anything_moves_is_no_success(tmp_path, capsys):
+    more = ("--enable", "--controller", "tests.live_controllers:ExitingEarly")
+    assert main(words(tmp_path, *more)) == 2
+    assert "controller ExitingEarly: called sys.exit(None)" in capsys.readouterr().err
 
 
 def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path, started):
@@ -287,12 +295,15 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--driver", "ads", "--enable"), "--home: got none; allowed: --home X Y Z"),
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
+        (("--duration", "-3"), "--duration: got -3.0; allowed: > 0, finite"),
         (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
         (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
         (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):
         assert main([*words(tmp_path), *more]) == 2
-        assert said in capsys.readouterr().err
+        out, err = capsys.readouterr()
+        assert said in err
+        assert "\nrecording: " not in out + err
     assert not (tmp_path / "run.json").exists()
 
 

@@ -1,11 +1,15 @@
 """Priority in Linux's scheduler goes to whom it was meant for."""
 
+import ctypes
+import gc
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from carosac_toolkit.live.real_time import take_priority
+from carosac_toolkit.live import real_time as real_time_module
+from carosac_toolkit.live.real_time import RealTime, isolated_cores, take_priority
 
 
 def policies(*, inherited: bool) -> tuple[int, int]:
@@ -36,3 +40,76 @@ def test_threads_started_later_have_priority_only_where_asked(inherited, capsys)
         pytest.skip("this user has no right to real-time priority")
     assert own == os.SCHED_FIFO
     assert (later == os.SCHED_FIFO) == inherited
+
+
+@pytest.fixture
+def isolated(tmp_path, monkeypatch):
+    """Has Linux say that the last core of this process is isolated."""
+    cores = sorted(os.sched_getaffinity(0))
+    path = tmp_path / "isolated"
+    path.write_text(f"{cores[-1]}-{cores[-1] + 2},{cores[-1] + 9}\n")
+    monkeypatch.setattr(real_time_module, "ISOLATED_CORES", path)
+    return cores
+
+
+def test_isolated_cores_are_read_as_linux_writes_them(isolated):
+    last = isolated[-1]
+    assert isolated_cores() == {last, last + 1, last + 2, last + 9}
+
+
+def test_a_loop_in_real_time_keeps_a_core_and_collects_garbage_at_rest_only(isolated, capsys):
+    cores, resting = os.sched_getaffinity(0), False
+    found = []
+
+    class Waste:
+        def __init__(self):
+            self.itself = self
+
+        def __del__(self):
+            found.append("collected")
+
+    def loop() -> None:
+        nonlocal resting
+        with RealTime("test", lambda: resting) as real_time:
+            Waste()
+            real_time.cycle()
+            assert not found and not gc.isenabled()
+            assert os.sched_getaffinity(0) == ({max(cores)} if len(cores) > 1 else cores)
+            resting = True
+            real_time.cycle()
+            assert found
+        assert os.sched_getaffinity(0) == cores and gc.isenabled()
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(loop).result()
+    assert found == ["collected"]
+    words = capsys.readouterr().err
+    assert all(line.startswith("test: warning: no ") for line in words.splitlines())
+
+
+def test_a_core_that_is_not_isolated_is_left_to_all(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(real_time_module, "ISOLATED_CORES", tmp_path / "none")
+    cores = os.sched_getaffinity(0)
+
+    def loop() -> None:
+        with RealTime("test", lambda: False) as real_time:
+            real_time.cycle()
+            assert os.sched_getaffinity(0) == cores
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(loop).result()
+    assert "test: warning: no core: none of" in capsys.readouterr().err
+
+
+def test_what_cannot_be_had_is_named(isolated, capsys, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(1, "Operation not permitted")
+
+    for name in ("sched_setscheduler", "sched_setaffinity"):
+        monkeypatch.setattr(os, name, refuse)
+    monkeypatch.setattr(ctypes, "CDLL", refuse)
+    with RealTime("test", lambda: False) as real_time:
+        real_time.cycle()
+    words = capsys.readouterr().err
+    for what in ("priority", "memory lock", "core"):
+        assert f"test: warning: no {what}: [Errno 1] Operation not permitted" in words

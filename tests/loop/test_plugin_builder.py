@@ -80,3 +80,8 @@ def test_settings_that_cannot_count_are_refused(plugin, asked, message):
 def test_a_live_controller_takes_the_period_of_the_run_unless_another_was_asked():
     chosen = {"controller_settings": {"mpc": {}}, "estimator_settings": {}}
     assert build_controller("mpc", ROBOT, chosen, 0.02, seed=0).period == 0.02
+
+
+def test_settings_for_an_instance_without_any_are_refused():
+    with pytest.raises(InvalidField, match=r"allowed: nothing: <.*Plain.* has no Settings"):
+        build_plugin(Plain(), ROBOT, where="plain", asked={"gain": 1.0})

@@ -64,9 +64,15 @@ def test_an_unknown_name_lists_what_is_installed_and_the_closest():
 
 
 def test_a_class_that_its_module_lacks_is_named_with_the_closest():
-    message = r"a name that baselines\.straight_line defines; did you mean 'StraightLine'\?"
+    message = r"a name that baselines\.straight_line defines .*; did you mean 'StraightLine'\?"
     with pytest.raises(InvalidField, match=message):
         plugins.load("estimators", "baselines.straight_line:StraightLien")
+
+
+def test_a_class_under_the_main_guard_of_a_script_is_refused_with_the_reason(site):
+    (site / "script.py").write_text("if __name__ == '__main__':\n    class Mine:\n        pass\n")
+    with pytest.raises(InvalidField, match=r"script:Mine.* when imported, in no 'if __name__'"):
+        plugins.load("controllers", "script:Mine")
 
 
 @pytest.mark.parametrize("name", [":Class", "module:", "a b:c"])

@@ -11,7 +11,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "plc.md"
 
 @pytest.mark.parametrize("n", [1, 3, 4, 8])
 def test_layout_is_the_same_under_every_packing(n):
-    every = [blocks.from_host(n), blocks.to_host(n), blocks.control(),
+    every = [blocks.from_host(n), blocks.to_host(n), blocks.machine(n), blocks.control(),
              blocks.diagnosis(n), blocks.truth(n)]  # fmt: skip
     for block in every:
         aligned = np.dtype([(f.name, block.dtype[f.name]) for f in block.fields], align=True)
@@ -34,13 +34,13 @@ def test_values_come_back_as_they_were_packed():
 def test_another_layout_is_refused_by_name():
     block = blocks.to_host(4)
     values = block.unpack(block.pack({"layout": 1, "cables": 4}))
-    with pytest.raises(blocks.WrongBlock, match=r"ST_ToHost.layout: got 1; allowed: 2"):
+    with pytest.raises(blocks.WrongBlock, match=r"ST_ToHost.layout: got 1; allowed: 3"):
         blocks.whole(block, values, 4)
 
 
 def test_the_docs_list_the_structures_and_numbers_as_they_are():
     text = PAGE.read_text(encoding="utf-8")
-    for block in (blocks.from_host(4), blocks.to_host(4)):
+    for block in (blocks.from_host(4), blocks.to_host(4), blocks.machine(4)):
         assert block.structured_text() in text
     for fault in Fault:
         if f"| {fault} |" in text:

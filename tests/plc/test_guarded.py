@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,7 +175,9 @@ def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
         time.sleep(0.1)
         again.reset_fault()
         assert again.state is DriveState.CONNECTED
-        again.home(home_pose(plc.robot), anew=True)  # it was stopped on its way
+        with plc.client() as client:  # it was stopped on its way
+            here = client.truth()["position"]
+        again.home(replace(home_pose(plc.robot), position=here[None]))
         assert again.state is DriveState.HOMED
     finally:
         again.close()

@@ -79,7 +79,9 @@ def test_a_link_says_where_the_plc_is_and_how_long_a_call_may_take(link):
 
 def test_a_link_knows_the_blocks_of_its_plc(link):
     link.connect(writing=True)
-    assert all(link.has(x) for x in (blocks.FROM_HOST, blocks.TO_HOST, blocks.TRUTH))
+    assert all(
+        link.has(x) for x in (blocks.FROM_HOST, blocks.TO_HOST, blocks.MACHINE, blocks.TRUTH)
+    )
     assert not link.has("nothing")
 
 
@@ -89,7 +91,8 @@ def test_bytes_pass_unchanged_both_ways(link, emulator):
     data = block.pack({"layout": 99, "length": [1.0, -2.0, 1e-9, np.pi]})  # nobody obeys layout 99
     link.write(blocks.FROM_HOST, data)
     assert emulator.symbols.read(emulator.symbol_names[blocks.FROM_HOST]) == data
-    assert link.read(blocks.FROM_HOST, block.size) == data
+    constants = emulator.symbols.read(emulator.symbol_names[blocks.MACHINE])
+    assert link.read(blocks.MACHINE, blocks.machine(ROBOT.n).size) == constants
     values = blocks.to_host(ROBOT.n).unpack(link.read(blocks.TO_HOST, blocks.to_host(ROBOT.n).size))
     assert values["layout"] == blocks.BLOCK_LAYOUT and values["boot"] == emulator.machine.boot
 
@@ -104,6 +107,8 @@ def test_what_the_plc_refuses_is_a_link_error(link):
         link.write(blocks.FROM_HOST, b"short")
     with pytest.raises(LinkError):
         link.write(blocks.TRUTH, bytes(blocks.truth(ROBOT.n).size))  # read only
+    with pytest.raises(LinkError):
+        link.read(blocks.FROM_HOST, blocks.from_host(ROBOT.n).size)  # write only: a secret is in it
     assert link.read(blocks.TO_HOST, blocks.to_host(ROBOT.n).size)  # it still works
 
 

@@ -1,5 +1,6 @@
 """When a host writes and when not: hosts and a PLC program in one process, no network."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -15,8 +16,11 @@ from carosac_toolkit.plc import driver as driver_module
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
 from carosac_toolkit.plc.emulator.settings import winch_limits
+from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.plc.identity import machine_values
 from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
+from carosac_toolkit.robot.identity import machine_hash
 from tests.plc_process import home_pose
 from tests.robots import simple_robot
 
@@ -35,12 +39,16 @@ class Program:
         self.from_host, self.to_host = blocks.from_host(N), blocks.to_host(N)
         self.memory = bytes(self.from_host.size)
         self.writers = []
-        self.deaf = False
+        self.deaf, self.said = False, {}
         self.start()
+
+    def say(self, name, value, cable=None):
+        """Have the PLC say a number from now on, of one cable if it has one."""
+        self.said[name] = (value, cable)
 
     def start(self):
         limits = winch_limits(ROBOT, Hardware.loopback(N))
-        self.machine = Machine(limits, cycle=0.005, watchdog=0.1)
+        self.machine = Machine(limits, cycle=0.005, watchdog=0.1, identity=machine_hash(ROBOT))
         self.machine.place(START)
         self.memory = bytes(self.from_host.size)
 
@@ -48,21 +56,29 @@ class Program:
         pass
 
     def has(self, block):
-        return block in (blocks.FROM_HOST, blocks.TO_HOST)
+        return block in (blocks.FROM_HOST, blocks.TO_HOST, blocks.MACHINE)
 
     def write(self, block, data):
         with self.lock:
             self.memory = data
-            self.writers.append(self.from_host.unpack(data)["session"])
+            self.writers.append(self.from_host.unpack(data)["host_number"])
 
     def read(self, block, size):
+        if block == blocks.MACHINE:
+            return blocks.machine(N).pack(machine_values(ROBOT))
         with self.lock:
             host = self.from_host.unpack(self.memory)
             if self.deaf:
                 host["request"] = 0
             inputs = Inputs(length=self.machine.winches.position, rate=np.zeros(N))
             self.machine.cycle(host if host["layout"] else None, inputs)
-            return self.to_host.pack(self.machine.output(inputs))
+            output = self.machine.output(inputs)
+            for name, (value, cable) in self.said.items():
+                if cable is None:
+                    output[name] = value
+                else:
+                    output[name] = np.where(np.arange(N) == cable, value, output[name])
+            return self.to_host.pack(output)
 
     def close(self):
         pass
@@ -102,17 +118,49 @@ def until(condition, patience=3.0):
 
 
 def written(program, seconds=0.05):
-    """Sessions that write in a span of time."""
+    """Public numbers of the hosts that write in a span of time."""
     count = len(program.writers)
     time.sleep(seconds)
     return set(program.writers[count:])
+
+
+WRONG = [
+    *(("rate", x, 1, Fault.ENCODER_JUMP) for x in (1e6, 1e300, np.nan, np.inf, -6.0)),
+    *(("length", x, 1, Fault.ENCODER_JUMP) for x in (1e6, 1e300, np.nan, -np.inf)),
+    *(("tension", x, 1, Fault.TENSION) for x in (1e6, 1e300, np.nan, np.inf)),
+    *(("set_length", x, 1, Fault.FOLLOWING_ERROR) for x in (1e6, 1e300, np.nan)),
+    *(("time", x, None, Fault.LOST_CONNECTION) for x in (1e300, np.nan, np.inf)),
+]
+
+
+@pytest.mark.parametrize("name, value, cable, fault", WRONG)
+def test_a_number_that_no_winch_can_do_is_a_fault_by_its_name(program, name, value, cable, fault):
+    settings = GuardedAdsSettings(
+        motion=True, enable_at_once=False, period=0.02, inner={"lost_after": 0.3}, overrun_share=1.0
+    )
+    program.say("has_tension", int(name == "tension"))
+    guard = GuardedAds.build(ROBOT, settings)
+    guard.connect()
+    try:
+        if name == "set_length":
+            guard.home(home_pose(ROBOT), anew=True, confirmed=True)
+            guard.inner.enable()
+        guard.measure()
+        program.say(name, value, cable)
+        with contextlib.suppress(CarosacError):
+            for _ in range(200):
+                guard.measure()
+                guard.wait(0.02)
+        assert guard.fault is not None and guard.fault.fault is fault, guard.fault
+    finally:
+        guard.close()
 
 
 def test_a_host_writes_from_enable_until_the_plc_has_let_go(program, host):
     driver = host()
     assert not program.writers
     driver.enable()
-    assert written(program) == {driver.exchange.session}
+    assert written(program) == {driver.exchange.number}
     driver.disable()
     assert program.machine.state is DriveState.CONNECTED
     until(lambda: not written(program))
@@ -179,14 +227,14 @@ def test_only_an_emulated_plc_sets_its_robot_down(program, host):
 def test_a_second_host_writes_nothing_and_is_refused(program, host):
     first, second = host(), host()
     first.enable()
-    until(lambda: second.exchange.other == first.exchange.session)
+    until(lambda: second.exchange.other == first.exchange.number)
     for refused in (second.enable, second.reset_fault):
         with pytest.raises(
-            CarosacError, match=f"obeys another host, session {first.exchange.session}"
+            CarosacError, match=f"obeys another host, number {first.exchange.number}"
         ):
             refused()
-    assert written(program) == {first.exchange.session}
-    assert second.exchange.session not in program.writers
+    assert written(program) == {first.exchange.number}
+    assert second.exchange.number not in program.writers
     assert program.machine.counters.foreign == 0
     second.close()
     assert first.state is DriveState.ENABLED
@@ -202,10 +250,8 @@ def test_a_host_that_lost_the_plc_to_another_stops_writing_and_says_so(program, 
     second.enable()
     until(lambda: first.fault is Fault.OWNER)
     assert first.state is DriveState.FAULT and not first.wait(0.01)
-    assert written(program) == {second.exchange.session}
-    with pytest.raises(
-        CarosacError, match=f"obeys another host, session {second.exchange.session}"
-    ):
+    assert written(program) == {second.exchange.number}
+    with pytest.raises(CarosacError, match=f"obeys another host, number {second.exchange.number}"):
         first.disable()
     assert program.machine.state is DriveState.ENABLED
     second.disable()
@@ -273,6 +319,22 @@ def test_a_plc_that_starts_anew_with_a_clock_that_goes_on_is_seen(program, host)
     assert driver.state is DriveState.CONNECTED
     with pytest.raises(CarosacError, match="not homed"):
         driver.enable()
+
+
+def test_a_suite_with_an_imu_that_is_silent_is_a_fault(program):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        source = ImuSource(port=free.getsockname()[1])
+    robot = replace(ROBOT, hardware=replace(Hardware.loopback(N), imu=source))
+    settings = GuardedAdsSettings(suite="lengths+imu", inner={"imu_lost_after": 0.2})
+    guard = GuardedAds.build(robot, settings)
+    guard.connect()
+    try:
+        until(lambda: guard.measure() and not guard.wait(settings.period))
+        assert guard.fault.fault is Fault.STALE_DATA
+        assert "no sample of the IMU for 0.2" in guard.fault.text
+    finally:
+        guard.close()
 
 
 def test_inertial_samples_reach_the_measurement_at_the_times_of_the_sensor(program):

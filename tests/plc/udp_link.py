@@ -23,7 +23,9 @@ from carosac_toolkit.robot.hardware import LOOPBACK_ADDRESS, Hardware
 
 ASK, READ, WRITE = range(3)
 REQUEST, ANSWER = struct.Struct("<BIB"), struct.Struct("<IB")
-BLOCKS = ("from_host", "to_host", "Emulator.control", "Emulator.diagnosis", "Emulator.truth")
+BLOCKS = (
+    "from_host", "to_host", "machine", "Emulator.control", "Emulator.diagnosis", "Emulator.truth",
+)  # fmt: skip
 DATAGRAM_BYTES_MAX = 4096
 
 
@@ -55,7 +57,7 @@ class UdpLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(self.timeout)
         self._blocks = {block for block in BLOCKS if self._ask(ASK, block)[0]}
-        if not {"from_host", "to_host"} <= self._blocks:
+        if not {"from_host", "to_host", "machine"} <= self._blocks:
             raise LinkError("cannot find the data block")
 
     def has(self, block: str) -> bool:

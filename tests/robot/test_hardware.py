@@ -74,6 +74,15 @@ def test_hardware_refuses_what_turns_no_unit_into_metres(change, match):
         replace(Hardware.loopback(4), **change)
 
 
+def test_a_sensor_that_others_could_pretend_to_be_needs_its_address():
+    with pytest.raises(InvalidField, match=r"hardware.imu.sender: got none; allowed: the IP"):
+        ImuSource(ip="0.0.0.0")
+    with pytest.raises(InvalidField, match=r"hardware.imu.sender: got 'sensor'; allowed: an IP"):
+        ImuSource(sender="sensor")
+    source = ImuSource(ip="192.168.0.2", sender="192.168.0.7")
+    assert source.is_sender("192.168.0.7") and not source.is_sender("127.0.0.1")
+
+
 def test_hardware_is_for_all_cables_of_the_robot():
     with pytest.raises(InvalidField, match="hardware: got 3 cables; allowed: 4 cables"):
         replace(ct.load_robot("carosac"), hardware=Hardware.loopback(3))

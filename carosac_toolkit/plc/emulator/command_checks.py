@@ -13,6 +13,7 @@ from carosac_toolkit.plc.emulator.winches import WinchLimits
 
 LIMIT_TOLERANCE = 1e-4  # share of a limit that rounding and a change of units may take
 SPEED_FAULT_RATIO = 1.05  # over the speed limit; above it the PLC stops
+ARRIVAL_JITTER_MAX_S = 0.05  # by which commands may come sooner than at the speed limit
 
 
 @dataclass
@@ -22,12 +23,12 @@ class Counters:
     Attributes:
         commands: New commands followed or refused.
         lost: Commands that never arrived.
-        not_finite: Commands with NaN or infinity.
+        not_finite: Commands with NaN or infinity, or with a period out of range or changed.
         over_length: Commands outside the soft end positions.
         over_speed: Commands that asked for more than the speed limit.
         over_acceleration: The same of acceleration, from three commands in a row.
         over_jerk: The same of jerk, from four.
-        jumps: First commands too far from where a winch stood.
+        jumps: Commands too far from where the winches stood at rest.
         ignored: Commands that came while the PLC did not follow.
         foreign: Writes of other sessions than the one it obeys.
         torn: Blocks that were not of one write.
@@ -55,58 +56,93 @@ class Counters:
 
 
 class CommandChecks:
-    """Checks of successive commands against the limits."""
+    """Checks of successive commands against the limits, by the clock of the PLC.
 
-    def __init__(self, limits: WinchLimits, counters: Counters) -> None:
-        self._limits = limits
-        self._counters = counters
-        self.reset(np.zeros(len(limits.speed)), 0)
+    The period and the number of a command come from the host. They count only as far as the time
+    between its arrivals has room for them.
 
-    def reset(self, position: Array, number: int) -> None:
-        """Start at rest at set positions [unit], shape (n,), after command `number`."""
+    Attributes:
+        gap: Periods from the last command to the newest, 1 or more.
+    """
+
+    def __init__(
+        self, limits: WinchLimits, counters: Counters, *, period_min: float, period_max: float
+    ) -> None:
+        """Set up; call `reset` before anything else.
+
+        Args:
+            limits: Limits of the winches.
+            counters: Where to count.
+            period_min: Shortest period of the commands [s].
+            period_max: Longest [s].
+        """
+        self._limits, self._counters = limits, counters
+        self._periods = (period_min, period_max)
+        self.reset(np.zeros(len(limits.speed)), 0, 0.0)
+
+    def reset(self, position: Array, number: int, now: float) -> None:
+        """Start at rest at set positions [unit], shape (n,), after command `number`, at a time."""
         rest = np.zeros_like(position)
         self._last: list[Array | None] = [np.array(position), rest, rest]
-        self._number, self._first = number, True
+        self._number, self._period, self._time, self._ahead = number, 0.0, now, 0.0
+        self.gap = 1
 
-    def check(self, host: dict[str, Any], position: Array) -> Fault:
+    def check(self, host: dict[str, Any], position: Array, *, now: float, standing: bool) -> Fault:
         """Count one new command; return the fault that forbids to follow it, if any.
 
         Args:
             host: Members of `blocks.from_host` by name.
             position: Present set positions [unit], shape (n,).
+            now: Clock of the PLC [s].
+            standing: Whether the winches stand, before the first command or for want of any.
         """
         counters, limits = self._counters, self._limits
         counters.commands += 1
         length, rate, period = host["length"], host["rate"], host["period"]
-        finite = np.isfinite(length).all() and np.isfinite(rate).all() and np.isfinite(period)
-        if not finite or period <= 0.0:
+        finite = np.isfinite(length).all() and np.isfinite(rate).all()
+        low, high = self._periods
+        if not (finite and low <= period <= high and self._period in (0.0, period)):
             counters.not_finite += 1
             return Fault.COMMAND
         slack = LIMIT_TOLERANCE * (limits.length_max - limits.length_min)
         if ((length < limits.length_min - slack) | (length > limits.length_max + slack)).any():
             counters.over_length += 1
             return Fault.COMMAND
-        if self._first and (np.abs(length - position) > limits.step).any():
+        if standing and (np.abs(length - position) > limits.step).any():
             counters.jumps += 1
             return Fault.COMMAND
-        gap = (host["command"] - self._number) % 2**32
-        self._number, self._first = host["command"], False
-        counters.lost += gap - 1
-        return self._differences(length, gap, period)
+        elapsed, gap = now - self._time, (host["command"] - self._number) % 2**32
+        self._number, self._period, self._time = host["command"], period, now
+        duration = min(gap * period, elapsed + ARRIVAL_JITTER_MAX_S)
+        self.gap = max(1, round(duration / period))
+        counters.lost += self.gap - 1
+        return self._differences(length, rate, duration, elapsed)
 
-    def _differences(self, length: Array, gap: int, period: float) -> Fault:
-        """Check speed, acceleration and jerk; the last two are unknown after a lost command."""
-        limits, old = self._limits, self._last
+    def _differences(self, length: Array, rate: Array, duration: float, elapsed: float) -> Fault:
+        """Check speed, acceleration and jerk; the last two are unknown after a lost command.
+
+        Args:
+            length: Command [unit], shape (n,).
+            rate: Its velocity [unit/s], shape (n,).
+            duration: Time since the last command [s], as the host says it.
+            elapsed: The same by the clock of the PLC.
+        """
+        limits, old, lost = self._limits, self._last, self.gap > 1
         assert old[0] is not None
-        speed = (length - old[0]) / (gap * period)
-        acceleration = None if gap > 1 or old[1] is None else (speed - old[1]) / period
-        before = old[2]
-        jerk = None if acceleration is None or before is None else (acceleration - before) / period
-        self._last = [length, speed if gap == 1 else None, acceleration]
-        share = self._count("speed", speed, limits.speed)
+        step = length - old[0]
+        needed = float((np.abs(step) / limits.speed).max()) / SPEED_FAULT_RATIO
+        self._ahead = max(0.0, self._ahead + needed - elapsed)
+        speed = step / duration
+        acceleration = None if lost or old[1] is None else (speed - old[1]) / duration
+        jerk = None
+        if acceleration is not None and old[2] is not None:
+            jerk = (acceleration - old[2]) / duration
+        self._last = [length, None if lost else speed, acceleration]
+        share = self._count("speed", np.maximum(np.abs(speed), np.abs(rate)), limits.speed)
         self._count("acceleration", acceleration, limits.acceleration)
         self._count("jerk", jerk, limits.jerk)
-        return Fault.OVER_LIMIT if share > SPEED_FAULT_RATIO else Fault.NONE
+        over = share > SPEED_FAULT_RATIO or self._ahead > ARRIVAL_JITTER_MAX_S
+        return Fault.OVER_LIMIT if over else Fault.NONE
 
     def _count(self, name: str, value: Array | None, limit: Array) -> float:
         """Compare with a limit; return the largest share of it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from typing import Any
 
@@ -16,6 +17,7 @@ from carosac_toolkit.plc.emulator.machine import Machine
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings, winch_limits
 from carosac_toolkit.plc.emulator.symbols import Symbols
 from carosac_toolkit.plc.emulator.world import World
+from carosac_toolkit.plc.identity import machine_values
 from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import LOOPBACK_ADDRESS, Hardware
 from carosac_toolkit.robot.robot import Robot
@@ -43,23 +45,26 @@ class Emulator:
 
     def __init__(
         self, plant: Robot, nominal: Robot, settings: EmulatorSettings, *, seed: int = 0,
-        ip: str | None = None,
+        ip: str | None = None, allow_others: bool = False,
     ) -> None:  # fmt: skip
         """Listen, and set the robot down.
 
         Args:
             plant: Robot that is simulated.
-            nominal: Robot that the PLC knows: limits and units.
+            nominal: Robot that the PLC knows: limits and units; a host needs its file.
             settings: Settings of PLC and machine.
             seed: Seed of everything random.
             ip: Address on which to listen; None: one of this machine only, that of the robot file
                 if it is one.
+            allow_others: Whether other users of this machine, and other machines where `ip` lets
+                them, may move the robot and inject faults as well.
 
         Raises:
             CarosacError: The address is not of this machine, or in use.
             InvalidField: The robot cannot rest at its start.
         """
         n = nominal.n
+        self._whole_cycle = threading.RLock()  # control lines come from another thread
         self.hardware = nominal.hardware or Hardware.loopback(n)
         self._settings = settings
         self.world = World(plant, self.hardware, settings, seed)
@@ -67,23 +72,32 @@ class Emulator:
             np.array(settings.start_position, dtype=np.float64)
         )  # fmt: skip
         self.world.place(start)
+        constants = machine_values(nominal)
         self.machine = Machine(
             winch_limits(nominal, self.hardware), cycle=settings.cycle,
-            watchdog=settings.watchdog, encoder_check=settings.encoder_check,
+            watchdog=settings.watchdog, identity=constants["hash"],
+            encoder_check=settings.encoder_check,
         )  # fmt: skip
         self._take_over_positions()
         self._blocks = {
             blocks.FROM_HOST: blocks.from_host(n), blocks.TO_HOST: blocks.to_host(n),
             blocks.CONTROL: blocks.control(), blocks.DIAGNOSIS: blocks.diagnosis(n),
-            blocks.TRUTH: blocks.truth(n),
+            blocks.TRUTH: blocks.truth(n), blocks.MACHINE: blocks.machine(n),
         }  # fmt: skip
         ads = self.hardware.ads
-        names = {blocks.FROM_HOST: ads.from_host, blocks.TO_HOST: ads.to_host}
+        names = {
+            blocks.FROM_HOST: ads.from_host, blocks.TO_HOST: ads.to_host,
+            blocks.MACHINE: ads.machine,
+        }  # fmt: skip
         self.symbol_names = {name: names.get(name, name) for name in self._blocks}
         self.symbols = Symbols()
         for name, block in self._blocks.items():
             writable = name in (blocks.FROM_HOST, blocks.CONTROL)
-            self.symbols.add(self.symbol_names[name], block.size, writable=writable)
+            self.symbols.add(
+                self.symbol_names[name], block.size, writable=writable,
+                readable=name != blocks.FROM_HOST,  # the session in it is secret
+            )  # fmt: skip
+        self._write(blocks.MACHINE, constants)
         self._n, self._cycles, self.overruns, self.lost_time = n, 0, 0, 0.0
         self._control, self._refused = 0, 0
         self._imu: socket.socket | None = None
@@ -94,7 +108,7 @@ class Emulator:
         for _ in range(WARM_UP_CYCLES):
             self.step()
         self.ip = ip or (ads.ip if ads.ip.startswith("127.") else LOOPBACK_ADDRESS)
-        self.server = AmsServer(self.symbols, self.ip)
+        self.server = AmsServer(self.symbols, self.ip, allow_others=allow_others)
         self.server.start()
 
     def run(self, duration: float | None = None) -> None:
@@ -102,7 +116,8 @@ class Emulator:
         cycle = self._settings.cycle
         origin, done = time.monotonic(), 0
         while self._running and (duration is None or done * cycle < duration):
-            self.step()
+            with self._whole_cycle:
+                self.step()
             done += 1
             late = time.monotonic() - origin - done * cycle
             if late < 0.0:
@@ -200,8 +215,9 @@ class Emulator:
         """Set the platform down at rest elsewhere."""
         if self.machine.state.value not in ("connected", "fault", "estop"):
             raise CarosacError("plc: the drives are on; disable them first")
-        self.world.place(np.asarray(position, dtype=np.float64))
-        self._take_over_positions()
+        with self._whole_cycle:
+            self.world.place(np.asarray(position, dtype=np.float64))
+            self._take_over_positions()
 
     def _take_over_positions(self) -> None:
         """Set the set positions to where the winches stand."""

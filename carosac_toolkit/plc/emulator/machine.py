@@ -14,6 +14,7 @@ from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, Answer, DriveStatus, Reques
 from carosac_toolkit.plc.emulator.command_checks import CommandChecks, Counters
 from carosac_toolkit.plc.emulator.playback import Playback
 from carosac_toolkit.plc.emulator.winches import Winches, WinchLimits
+from carosac_toolkit.plc.settings import COMMAND_PERIOD_MAX_S
 
 _DRIVES_ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
 SESSIONS_REMEMBERED_MAX = 32  # by their newest request
@@ -58,8 +59,10 @@ class _Host:
     """Session that the PLC obeys."""
 
     session: int = 0
+    number: int = 0  # public; the session is secret
     sequence: int = 0
-    silent: float = 0.0
+    silent: float = 0.0  # [s] without a heartbeat
+    starved: float = 0.0  # [s] since its commands ran out
     command: int | None = None
     playback: Playback | None = None
     period: float = 0.0
@@ -81,14 +84,17 @@ class Machine:
     """
 
     def __init__(
-        self, limits: WinchLimits, *, cycle: float, watchdog: float, encoder_check: bool = True
-    ) -> None:
+        self, limits: WinchLimits, *, cycle: float, watchdog: float, identity: int,
+        period_max: float = COMMAND_PERIOD_MAX_S, encoder_check: bool = True,
+    ) -> None:  # fmt: skip
         """Start with the drives off, obeying nobody.
 
         Args:
             limits: Limits of the winches.
             cycle: Period of the PLC [s].
             watchdog: Silence of the host after which the winches ramp to rest [s].
+            identity: Hash of the robot; a host that has another one is not enabled.
+            period_max: Longest period of the commands [s]; the shortest is `cycle`.
             encoder_check: Whether a position that jumps is a fault.
         """
         n = len(limits.speed)
@@ -98,15 +104,15 @@ class Machine:
         self.counters = Counters()
         self.wires = Wires(np.zeros(n, dtype=bool))
         self.reference = np.zeros(n)
-        self._checks = CommandChecks(limits, self.counters)
+        self._ticks = 0
+        self._checks = CommandChecks(limits, self.counters, period_min=cycle, period_max=period_max)
         self._limits, self._cycle, self._watchdog = limits, cycle, watchdog
-        self._encoder_check = encoder_check
+        self._encoder_check, self._identity = encoder_check, identity
         self._host = _Host()
         self._foreign = (0, 0)
         self._answer = (0, Answer.NONE)
         self._numbers: dict[int, int] = {}  # newest request of each session
         self._disable = False
-        self._ticks = 0
         self._beats = 0
         self._length: Array | None = None
         self._frozen: dict[str, Any] | None = None
@@ -118,8 +124,8 @@ class Machine:
 
     @property
     def owner(self) -> int:
-        """Session that the PLC obeys; 0: nobody."""
-        return self._host.session
+        """Public number of the host that the PLC obeys; 0: nobody."""
+        return self._host.number
 
     def cycle(self, host: dict[str, Any] | None, inputs: Inputs) -> None:
         """Run one cycle: listen, check, move the set points.
@@ -175,7 +181,7 @@ class Machine:
             self.counters.torn += 1
             return
         session = host["session"]
-        if session == 0:
+        if session == 0 or host["host_number"] == 0:
             return
         mine = session == self._host.session
         if mine and host["sequence"] != self._host.sequence:
@@ -217,11 +223,15 @@ class Machine:
         return Answer.UNKNOWN
 
     def _enable(self, host: dict[str, Any]) -> Answer:
+        if host["machine"] != self._identity:
+            return Answer.ANOTHER_ROBOT
         if self.state not in (DriveState.CONNECTED, DriveState.ENABLED):
             return Answer.WRONG_STATE
-        self._host = _Host(host["session"], host["sequence"], command=host["command"])
+        self._host = _Host(
+            host["session"], host["host_number"], host["sequence"], command=host["command"]
+        )
         self.place(self._inputs.length)
-        self._checks.reset(self.winches.position, host["command"])
+        self._checks.reset(self.winches.position, host["command"], self.time)
         self._disable = False
         self.state = DriveState.ENABLED
         return Answer.DONE
@@ -242,28 +252,31 @@ class Machine:
         own = self._host
         if not host["follow"] or host["command"] == own.command:
             return
-        gap = (host["command"] - (own.command or 0)) % 2**32
         own.command = host["command"]
         if self.state not in (DriveState.ENABLED, DriveState.FOLLOWING):
             self.counters.ignored += 1
             return
-        fault = self._checks.check(host, self.winches.position)
+        playback = own.playback
+        standing = playback is None or (playback.ended and self.winches.at_rest)
+        fault = self._checks.check(host, self.winches.position, now=self.time, standing=standing)
         if fault is not Fault.NONE:
             self.stop(fault)
             return
         if own.playback is None:
             own.playback = Playback(self.winches.position)
-        own.playback.add(host["length"], gap, host["period"])
+        own.playback.add(host["length"], self._checks.gap, host["period"])
         own.period = host["period"]
         self.state = DriveState.FOLLOWING
 
     def _watch(self) -> None:
-        """Ramp to rest if the host is silent; then obey nobody."""
+        """Ramp to rest if the host or its commands are silent; then obey nobody."""
         own = self._host
         if not own.session:
             return
         own.silent += self._cycle
-        if own.silent < self._watchdog:
+        starves = own.playback is not None and own.playback.ended
+        own.starved = own.starved + self._cycle if starves else 0.0
+        if max(own.silent, own.starved) < self._watchdog:
             return
         if self.state in _DRIVES_ON:
             self.counters.watchdog += 1
@@ -298,7 +311,7 @@ class Machine:
     def _move(self) -> None:
         """Advance the set points."""
         own = self._host
-        if self.state is DriveState.FOLLOWING and own.playback is not None:
+        if own.playback is not None and not own.playback.ended:
             goal, rate = own.playback.advance(self._cycle)
             self.winches.follow(goal, rate, FOLLOW_TIME_PERIODS * own.period)
             return

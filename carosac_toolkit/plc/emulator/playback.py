@@ -26,7 +26,8 @@ class Playback:
               + \tfrac12 (\tfrac12 + u)^2 L_{k+1}, \qquad |u| \le \tfrac12 .
 
     Commands may come a little early or late; the motion goes by the clock of the PLC, sped up or
-    slowed down by 2 % at most. Lost commands are interpolated linearly.
+    slowed down by 2 % at most. Lost commands are interpolated linearly. Without new commands the
+    motion goes on straight until `ended`; commands that come later set the clock at once.
     """
 
     def __init__(self, position: Array) -> None:
@@ -39,6 +40,7 @@ class Playback:
 
     def add(self, length: Array, gap: int, period: float) -> None:
         """Take a command [unit], shape (n,), that is `gap` after the last one; `period` in s."""
+        late = self.ended
         last = self._points[-1]
         first = max(1, gap - COMMANDS_KEPT + 1)
         for k in range(first, gap + 1):
@@ -46,10 +48,15 @@ class Playback:
         self._newest += gap
         self._period = period
         error = self._newest - DELAY_COMMANDS - self._at
-        if self._error is None or abs(error) > DELAY_ERROR_MAX_COMMANDS:
+        if late or self._error is None or abs(error) > DELAY_ERROR_MAX_COMMANDS:
             self._at += error
             self._error = error = 0.0
         self._error += DELAY_SMOOTHING * (error - self._error)
+
+    @property
+    def ended(self) -> bool:
+        """True if the commands have run out: the motion is `EXTRAPOLATION_COMMANDS` beyond them."""
+        return self._at >= self._newest + EXTRAPOLATION_COMMANDS
 
     def advance(self, duration: float) -> tuple[Array, Array]:
         """Advance by a duration [s].
@@ -57,17 +64,16 @@ class Playback:
         Returns:
             Positions then [unit] and velocities [unit/s], each of shape (n,).
         """
-        last = self._newest + EXTRAPOLATION_COMMANDS
         clock_rate = 1.0 + float(
             np.clip(CLOCK_GAIN * (self._error or 0.0), -CLOCK_CHANGE_MAX, CLOCK_CHANGE_MAX)
         )
-        self._at = min(self._at + clock_rate * duration / self._period, last)
+        self._at += clock_rate * duration / self._period
         k = int(np.floor(self._at + 0.5))
         u = self._at - k
         before, here, after = (self._point(k + i) for i in (-1, 0, 1))
         goal = 0.5 * (0.5 - u) ** 2 * before + (0.75 - u * u) * here + 0.5 * (0.5 + u) ** 2 * after
         rate = ((0.5 + u) * after - 2.0 * u * here - (0.5 - u) * before) / self._period
-        return goal, (rate if self._at < last else np.zeros_like(rate))
+        return goal, rate
 
     def _point(self, number: int) -> Array:
         """Return a command by its number, extrapolated beyond the newest one."""

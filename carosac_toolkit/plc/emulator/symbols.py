@@ -23,13 +23,23 @@ class Symbols:
         self._names: list[str] = []
         self._data: dict[str, bytes] = {}
         self._writable: set[str] = set()
+        self._readable: set[str] = set()
 
-    def add(self, name: str, size: int, *, writable: bool) -> None:
-        """Declare a variable of zeros; names are not case-sensitive, as in a PLC."""
+    def add(self, name: str, size: int, *, writable: bool, readable: bool = True) -> None:
+        """Declare a variable of zeros; names are not case-sensitive, as in a PLC.
+
+        Args:
+            name: Its name.
+            size: [bytes].
+            writable: Whether clients may write it.
+            readable: Whether clients may read it.
+        """
         self._names.append(name.lower())
         self._data[name.lower()] = bytes(size)
         if writable:
             self._writable.add(name.lower())
+        if readable:
+            self._readable.add(name.lower())
 
     def handle(self, name: str) -> int:
         """Return the handle of a variable, from 1.
@@ -56,9 +66,12 @@ class Symbols:
         """Return the bytes of a variable to a client.
 
         Raises:
-            Refused: There is no such handle.
+            Refused: There is no such handle, or it is write only.
         """
-        return self.read(self._name(handle))
+        name = self._name(handle)
+        if name not in self._readable:
+            raise Refused(NO_ACCESS)
+        return self.read(name)
 
     def write_handle(self, handle: int, data: bytes) -> None:
         """Set a variable for a client.

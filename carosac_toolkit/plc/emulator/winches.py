@@ -9,7 +9,6 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 
 BRAKE_RATIO = 2.0  # deceleration by the brake of a tripped drive over the acceleration limit
-ACCELERATION_HEADROOM = 1.2  # over the limit, for returning to the commanded motion
 BRAKING_SHARE = 0.8  # of the acceleration limit, with which braking to a goal is planned
 END_TOLERANCE = 1e-5  # share of the travel that rounding may take a set position beyond an end
 
@@ -44,8 +43,7 @@ class Winches:
         position: Set positions [unit], shape (n,).
         speed: Set velocities [unit/s], shape (n,).
         speed_peak: Largest absolute set velocity so far [unit/s], shape (n,).
-        acceleration_peak: Largest absolute acceleration so far, brakes aside [unit/s^2],
-            shape (n,).
+        acceleration_peak: Largest absolute acceleration so far [unit/s^2], shape (n,).
     """
 
     def __init__(self, limits: WinchLimits, cycle: float) -> None:
@@ -85,7 +83,8 @@ class Winches:
     def follow(self, goal: Array, rate: Array, time_constant: float) -> None:
         """Move one cycle towards a moving goal, each winch within its own limits.
 
-        The acceleration may exceed its limit by `ACCELERATION_HEADROOM`.
+        Distances vanish in proportion. A winch ahead of its goal waits for it rather than turn
+        back.
 
         Args:
             goal: Position of the goal at the end of this cycle [unit], shape (n,).
@@ -97,11 +96,13 @@ class Winches:
         goal = np.clip(goal, limits.length_min, limits.length_max)
         error = goal - self.position - 0.5 * (self.speed + rate) * cycle
         brake = BRAKING_SHARE * limits.acceleration
-        closing = np.minimum(np.abs(error) / time_constant, np.sqrt(2.0 * brake * np.abs(error)))
-        wanted = rate + np.sign(error) * closing
+        distance = np.maximum(np.abs(error), 1e-12)
+        closing = min(1.0 / time_constant, float(np.sqrt(2.0 * brake / distance).min()))
+        change_max = limits.acceleration * cycle
+        wanted = rate + closing * error
+        wanted = np.where((wanted * rate < 0.0) & (np.abs(rate) > change_max), 0.0, wanted)
         down, up = self._ends(brake)
         wanted = np.clip(wanted, -np.minimum(limits.speed, down), np.minimum(limits.speed, up))
-        change_max = ACCELERATION_HEADROOM * limits.acceleration * cycle
         still = (np.abs(error) < 1e-9) & (rate == 0.0) & (np.abs(self.speed) <= change_max)
         change = np.clip(wanted - self.speed, -change_max, change_max)
         change = np.where(still, -self.speed, change)
@@ -126,7 +127,7 @@ class Winches:
         factor = max(0.0, 1.0 - float(elapsed[0]) / needed) if needed > 0.0 else 0.0
         factor = 0.0 if factor < 1e-9 else factor
         down, up = self._ends(limits)
-        change_max = ACCELERATION_HEADROOM * limits * self._cycle
+        change_max = limits * self._cycle
         down, up = (
             np.maximum(down, -self.speed - change_max),
             np.maximum(up, self.speed - change_max),
@@ -136,7 +137,7 @@ class Winches:
         ramped = np.where(np.abs(ramped) < 1e-9 * np.abs(speed), 0.0, ramped)
         least = np.abs(self.speed) - BRAKE_RATIO * limits * self._cycle
         braked = np.sign(self.speed) * np.maximum(least, 0.0)
-        self._advance(np.where(self._braked, braked, ramped), self._braked)
+        self._advance(np.where(self._braked, braked, ramped))
 
     def _ends(self, brake: Array) -> tuple[Array, Array]:
         """Return the largest speeds down and up from which each winch can stop at its soft end.
@@ -159,10 +160,9 @@ class Winches:
             speeds.append(np.maximum(np.sqrt(left) - 0.5 * lost, 0.0))
         return speeds[0], speeds[1]
 
-    def _advance(self, speed: Array, but: Array | None = None) -> None:
-        """Move one cycle, to a new velocity; count peaks of all winches but those given."""
+    def _advance(self, speed: Array) -> None:
+        """Move one cycle, to a new velocity."""
         change = np.abs(speed - self.speed) / self._cycle
-        change = change if but is None else np.where(but, 0.0, change)
         self.position = self.position + 0.5 * (self.speed + speed) * self._cycle
         self.speed = speed
         self.speed_peak = np.maximum(self.speed_peak, np.abs(speed))

@@ -38,11 +38,7 @@ class Brake:
         why = "warm_up" if self._cycles.warming else "stop"
         if self._life.fault is not None:
             why = str(self._life.fault.fault)
-        already = monitor.sent
-        sent = self._commander.brake(monitor.now if asked is None else asked.time, asked, why)
-        if not already:
-            monitor.note(monitor.journal.sent, asked, sent, really=True)
-        return sent
+        return self._commander.brake(monitor.now if asked is None else asked.time, asked, why)
 
     def begin(self) -> None:
         """Begin a stop before anybody hears of it."""

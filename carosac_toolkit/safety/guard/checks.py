@@ -19,6 +19,8 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 STALE_TIME_S = 0.08  # eight periods of 10 ms
+SAMPLE_AGE_S = 0.05  # allowed for in `GuardSettings.step`, beside the lag of the winches
+LINK_MARGIN_PERIODS = 3.0  # cycles are counted, and those of a start come early
 LAG_SPREAD_S = 0.03  # lags differ by this much, besides the age of a sample
 TENSION_MEAN_TIME_S = 0.5  # the platform tilts to and fro at some Hz
 FAULT_DURATION_S = 0.03  # three periods of 10 ms: one wrong sample stops nobody
@@ -49,19 +51,25 @@ class Checks:
         patience: Time for which measurements may stay the same [s].
         position: Platform position by the newest lengths in W [m], shape (3,), or None.
         tension: Equilibrium tension there [N], shape (n,), or None.
+        first_way: Whether the robot is on the first way after a new home, which is gone slowly.
     """
 
     def __init__(self, robot: Robot, settings: GuardSettings) -> None:
         """Set up for a driver that waits for its robot no longer than the checks do."""
         self.robot = robot
         self._settings = settings
+        self._step = settings.step(robot)
+        self._speed_max = settings.slowed(robot).speed_max
         self.restart(link_patience=0.0)
 
     def restart(self, *, link_patience: float) -> None:
         """Forget all samples; `link_patience`: how long the driver waits for its robot [s]."""
         asked = self._settings.stale_time
+        if link_patience > 0.0:  # the driver says first whether its link is lost or data stale
+            link_patience += LINK_MARGIN_PERIODS * self._settings.period
         self.patience = max(STALE_TIME_S, link_patience) if asked is None else asked
         self._last: Measurement | None = None
+        self._newest: Measurement | None = None  # the last one whose samples were new
         self._held = False
         self._silent = 0
         self._count: Counter[Fault] = Counter()
@@ -70,6 +78,8 @@ class Checks:
         self._equilibrium: statics.Equilibrium | None = None
         self.position: Array | None = None
         self.tension: Array | None = None
+        self.first_way = False
+        self._origin: Array | None = None
         self.standing(None)
 
     def prepare(self) -> None:
@@ -86,7 +96,8 @@ class Checks:
     def standing(self, length: Array | None) -> None:
         """Take where the winches stand and are commanded to [m], shape (n,); None: no command."""
         self._expected = None if length is None else length.copy()
-        self._before: Array | None = None
+        self._before: Array | None = None  # what was expected at the newest sample
+        self._periods = 0  # since then
         self._start: tuple[Array, Array] | None = None  # where it was told to be, and was
         self._speed = np.zeros(self.robot.n)
         self._count.clear()
@@ -98,6 +109,7 @@ class Checks:
         share = -np.expm1(-self._settings.period / self.robot.winch_lag)
         self._expected = self._expected + share * (motion.length[0] - self._expected)
         self._speed = motion.speed[0]
+        self._periods += 1
 
     def measured(
         self, measurement: Measurement, *, homed: bool, held: bool = False
@@ -135,9 +147,11 @@ class Checks:
             text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         far = np.abs(asked[0] - standing)
-        limit, which = settings.step(robot), "a command"
+        # a late sample is no fault of the controller; one that is too late has a name of its own
+        late = max(self._age(self._last) - SAMPLE_AGE_S, 0.0)
+        limit, which = self._step + late * self._speed_max, "a command"
         if first:
-            limit, which = np.minimum(settings.first_max, limit), "the first command"
+            limit, which = np.minimum(settings.first_max, self._step), "the first command"
         if (k := _worst(far - limit)) is not None:
             text = f"{which} is {far[k]:.3f} m from where the winch stands; allowed: {limit[k]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=k)
@@ -166,19 +180,24 @@ class Checks:
 
     def _jump(self, measurement: Measurement, *, still: bool) -> Finding | None:
         """Require lengths to change as commanded, and no faster than a winch turns."""
-        last, before = self._last, self._before
-        self._before = self._expected
-        if last is None:
+        newest, before, expected = self._newest, self._before, self._expected
+        passed = 0.0 if newest is None else _sampled(measurement) - _sampled(newest)
+        span = self._periods * self._settings.period
+        if newest is None or passed > 0.0:  # what is expected counts since the newest sample
+            self._newest, self._before, self._periods = measurement, expected, 0
+        if newest is None:
             return None
-        change = (measurement.unstrained_length - last.unstrained_length)[0]
-        passed = max(_sampled(measurement) - _sampled(last), 0.0)
-        if self._expected is not None and before is not None:
-            change = change - (self._expected - before)
-            period = self._settings.period
-            uneven = abs(passed - period) + 0.5 * period  # samples come when they come
-            allowed = self._settings.jump_max + uneven * np.abs(self._speed)
-        else:
-            allowed = self._settings.jump_max + (0.0 if still else passed) * self.robot.speed_max
+        change = (measurement.unstrained_length - newest.unstrained_length)[0]
+        allowed = np.full(self.robot.n, self._settings.jump_max)
+        if expected is None or before is None:
+            allowed += (0.0 if still else max(passed, 0.0)) * self.robot.speed_max
+        elif passed > 0.0:
+            asked, period = expected - before, self._settings.period
+            uneven = abs(passed - max(span, period)) + 0.5 * period  # samples come when they come
+            change = change - asked
+            allowed += uneven * np.maximum(np.abs(self._speed), np.abs(asked) / max(span, period))
+        else:  # the clock of the samples stands still
+            allowed += np.abs(expected - before)
         if (i := _worst(np.abs(change) - allowed)) is None:
             return None
         text = f"the length jumped by {change[i]:+.3f} m; allowed: {allowed[i]:.3f} m"
@@ -204,8 +223,13 @@ class Checks:
 
     def _late(self, measurement: Measurement) -> Array:
         """Return motion that differing lags and the age of a sample explain [m], shape (n,)."""
-        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
-        return np.asarray((LAG_SPREAD_S + age) * np.abs(self._speed))
+        return np.asarray((LAG_SPREAD_S + self._age(measurement)) * np.abs(self._speed))
+
+    def _age(self, measurement: Measurement | None) -> float:
+        """Return the age of a sample [s], as far as it may go unnoticed."""
+        if measurement is None:
+            return 0.0
+        return float(np.clip(measurement.time[0] - _sampled(measurement), 0.0, self.patience))
 
     def _following(self, measurement: Measurement) -> Finding | None:
         """Require winches to be where they were commanded to be, after their lag."""
@@ -228,6 +252,7 @@ class Checks:
         except InvalidField as error:  # not a length
             return [Finding(fault=Fault.CLOSURE, text=str(error))]
         shift = self._tension_shift(measurement)
+        self._end_first_way()
         return [closure, shift, self._tension(measurement), self._workspace()]
 
     def _closure(self, lengths: Array) -> Finding | None:
@@ -255,10 +280,13 @@ class Checks:
         Lengths that follow their commands to the millimetre may still be wrong: a winch that turns
         the other way than the robot file says tilts the platform, and loads its cables crosswise.
         """
-        limit, measured = self._settings.tension_shift_max, measurement.tension
+        settings, measured = self._settings, measurement.tension
+        limit = settings.tension_shift_max
+        if limit is None and self.first_way:
+            limit = settings.first_shift_max
         if limit is None or measured is None or self.tension is None:
             return None
-        span = max(1, round(TENSION_MEAN_TIME_S / self._settings.period))
+        span = max(1, round(TENSION_MEAN_TIME_S / settings.period))
         self._shares = [*self._shares[1 - span :], measured.value[0] / self.tension]
         mean = np.mean(self._shares, axis=0)
         if self._expected is None or self._usual is None:
@@ -273,6 +301,15 @@ class Checks:
             "than its sign in the robot file, or by another scale?"
         )
         return Finding(fault=Fault.CLOSURE, text=text)
+
+    def _end_first_way(self) -> None:
+        """End the first way once the platform is far enough from where it stood."""
+        if not self.first_way or self.position is None:
+            return
+        if self._expected is None or self._origin is None:
+            self._origin = self.position.copy()
+        far = float(np.linalg.norm(self.position - self._origin))
+        self.first_way = far < self._settings.first_way
 
     def _tension(self, measurement: Measurement) -> Finding | None:
         """Check measured tensions, else those of rest where the lengths determine them."""

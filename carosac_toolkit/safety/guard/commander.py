@@ -65,7 +65,7 @@ class Commander:
         sent = self._limiter.apply(command, actual)
         acceleration = self._limiter.motion.acceleration[0]
         self._bend = self._bend + self._share * (acceleration - self._bend)
-        return self._monitor.send(sent, self.motion)
+        return self._monitor.send(sent, self.motion, command)
 
     def brake(self, time: Array, asked: Command | None, why: str) -> Command:
         """Send the next command of the stop along the path, unless this period has its command.
@@ -83,7 +83,7 @@ class Commander:
         if asked is not None:
             hits = changed(why, asked, sent.unstrained_length)
             sent = replace(sent, limited=(*sent.limited, *hits))
-        return self._monitor.send(sent, self.motion)
+        return self._monitor.send(sent, self.motion, asked)
 
     def would_send(self, command: Command, held: Array) -> Command:
         """Return what the limits would leave of a command, at first from where the winches stand.

@@ -37,6 +37,7 @@ from carosac_toolkit.safety.guard.inner import (
     build_inner,
     check_no_fault_held,
     error_finding,
+    interrupted_by_operator,
     plugin_finding,
     reset_held_fault,
 )
@@ -146,6 +147,11 @@ class GuardedDriver(MotionDriver):
         """Cycles since `connect` whose command took longer than a period, in real time."""
         return self.cycles.late
 
+    @property
+    def at_rest(self) -> bool:
+        """True while this host moves no winch."""
+        return not self._life.live or self.commander.at_rest
+
     def connect(self) -> None:
         """Connect the driver behind; home and enable at once where the settings say so.
 
@@ -185,29 +191,34 @@ class GuardedDriver(MotionDriver):
             check_no_fault_held(inner)
         self.measure()
         if moves:
-            self.home(start, anew=settings.home_anew or set_down)
+            placed = settings.home_confirmed or set_down  # who sets it down knows where it is
+            self.home(start, anew=settings.home_anew or set_down, confirmed=placed)
             self.enable()
         elif settings.rehearse and not settings.motion:
-            self.home(start, anew=settings.home_anew)
+            self.home(start, anew=settings.home_anew, confirmed=True)  # nothing moves
             self._ready_to_enable()
 
-    def home(self, position: State, *, anew: bool = False) -> None:
+    def home(self, position: State, *, anew: bool = False, confirmed: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.
 
         Args:
             position: A batch of one. Its lengths count if it has some; else those of the statics:
                 with six cables or more at its rotation, with fewer at that of rest.
             anew: Whether offsets may change by more than `GuardSettings.home_change_max`, such as
-                where they were never found before; only for a pose that was measured.
+                where they were never found before; only for a pose that was measured. Load cells,
+                IMU and pose measurement must then fit it.
+            confirmed: Whether a person vouches for such a pose, which is needed where those would
+                not notice an error of `GuardSettings.workspace_margin`.
 
         Raises:
             IllegalTransition: Not connected, or enabled.
-            NotReady: The lengths change, there is a fault, or an offset would change by too much.
+            NotReady: The lengths change, there is a fault, an offset would change by too much,
+                the senses contradict the pose, or nobody has confirmed it.
             InvalidField: No pose of rest.
         """
         with self._lock:
             self._life.allow("home")
-            self.homing.home(position, anew=anew)
+            self.homing.home(position, anew=anew, confirmed=confirmed)
 
     def enable(self) -> None:
         """Let commands through, from where the winches stand.
@@ -299,9 +310,12 @@ class GuardedDriver(MotionDriver):
     def fail(self, part: str, error: BaseException) -> None:
         """Latch an error of the estimator, the controller or, while the winches follow, all else.
 
-        Where a fault is latched already, that is the cause.
+        Where a fault is latched already, that is the cause. An operator who interrupts the program
+        is none.
         """
         if part == "program" and not self._life.live:
+            return
+        if isinstance(error, KeyboardInterrupt) and interrupted_by_operator(self.ending):
             return
         with self._lock:
             self.monitor.latch(plugin_finding(part, error))
@@ -340,9 +354,7 @@ class GuardedDriver(MotionDriver):
         if self.monitor.sent:
             raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
         self._life.go(DriveState.FOLLOWING)
-        sent = self.commander.follow(command, actual)
-        self.monitor.note(self.journal.sent, command, sent, really=True)
-        return sent
+        return self.commander.follow(command, actual)
 
     def _dry_run(self, command: Command, held: Array) -> Command:
         """Limit and journal a command; return that the winches hold."""

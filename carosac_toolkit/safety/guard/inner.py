@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -25,6 +26,14 @@ from carosac_toolkit.safety.guard.settings import GuardSettings
 
 SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
 START_SETTING = "start_position"  # of a simulated robot; a real one starts where it is
+FAULTS_OF_FIELDS = {  # of a measurement with an impossible number
+    "unstrained_length": Fault.ENCODER_JUMP,
+    "length": Fault.ENCODER_JUMP,
+    "length_rate": Fault.ENCODER_JUMP,
+    "set_length": Fault.FOLLOWING_ERROR,
+    "tension": Fault.TENSION,
+    "time": Fault.STALE_DATA,
+}
 STATES_OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)
 
 
@@ -125,12 +134,20 @@ def plugin_finding(part: str, error: BaseException) -> Finding:
     return Finding(fault=fault, text=f"the {part} raised {type(error).__name__}: {error}")
 
 
+def interrupted_by_operator(ending: str | None) -> bool:
+    """Return whether a `KeyboardInterrupt` can be the operator's, and not that of a plug-in.
+
+    Python itself raises it at Ctrl-C, anywhere in the program; a program with a handler of its own,
+    such as ``carosac run``, does so only where an end was asked for already (`ending`).
+    """
+    return ending is not None or signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def error_finding(error: Exception) -> Finding:
     """Return what an error of a driver means: an impossible number, or a lost connection."""
     if isinstance(error, InvalidField):
-        length = "length" in error.field
-        text = f"an impossible measurement: {error}"
-        return Finding(fault=Fault.ENCODER_JUMP if length else Fault.UNKNOWN, text=text)
+        fault = FAULTS_OF_FIELDS.get(error.field.partition("[")[0], Fault.UNKNOWN)
+        return Finding(fault=fault, text=f"an impossible measurement: {error}")
     return Finding(fault=Fault.LOST_CONNECTION, text=described(error))
 
 

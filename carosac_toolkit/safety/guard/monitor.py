@@ -29,6 +29,7 @@ from carosac_toolkit.safety.guard.row_queue import RowQueue
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 LOST_AT_REST_S = 1.0  # silence of the driver that is a fault also where nothing moves
+WRITE_AHEAD_SHARE = 0.25  # of a period, for which a command waits for its row
 LIVE_ONLY_FAULTS = (Fault.TENSION, Fault.FOLLOWING_ERROR)  # no fault of a robot that nobody drives
 
 
@@ -45,6 +46,7 @@ class Monitor:
         rows: Queue in front of the journal.
         offset: Lengths that homing adds to readings and takes from commands [m], shape (n,).
         sent: Whether this period has its command.
+        unwritten: Count of commands that were sent before their row was written.
         measured: Newest measurement, or None.
         finding: Finding of the last measurement, latched or not, or None.
         held: Fault that the drives hold, by the last measurement or as they were handed it, or
@@ -67,6 +69,7 @@ class Monitor:
         )
         self.offset = np.zeros(robot.n)
         self.sent = False
+        self.unwritten = 0
         self.measured: Measurement | None = None
         self.finding: Finding | None = None
         self.held: Finding | None = None
@@ -104,16 +107,31 @@ class Monitor:
         self.note(self.journal.measured, measurement)
         return measurement
 
-    def send(self, command: Command, motion: WinchMotion) -> Command:
-        """Hand a command to the driver, and its motion to the checks."""
+    def send(self, command: Command, motion: WinchMotion, asked: Command | None) -> Command:
+        """Journal a command, hand it to the driver, and its motion to the checks.
+
+        Its row comes first, so that no length reaches the drives that a killed process would not
+        have recorded; a recording that blocks holds it up for `WRITE_AHEAD_SHARE` of a period.
+        Where the driver changes the command, a second row of the same time says so.
+        """
         self.sent = True
-        shifted = self.offset.any()
-        if shifted:
-            command = replace(command, unstrained_length=command.unstrained_length - self.offset)
         self.checks.sent(motion)
-        sent: Command = self.call(self.inner.command, command)
-        if shifted:
-            sent = replace(sent, unstrained_length=sent.unstrained_length + self.offset)
+        self.note(self.journal.sent, asked, command, really=True)
+        self.unwritten += not self.rows.written(WRITE_AHEAD_SHARE * self.settings.period)
+        shifted = command
+        if self.offset.any():
+            shifted = replace(command, unstrained_length=command.unstrained_length - self.offset)
+        try:
+            sent: Command = self.call(self.inner.command, shifted)
+        except Exception as error:
+            self.event("not_sent", described(error))
+            raise
+        if sent.limited == command.limited and np.array_equal(
+            sent.unstrained_length, shifted.unstrained_length
+        ):
+            return command
+        sent = replace(sent, unstrained_length=sent.unstrained_length + self.offset)
+        self.note(self.journal.sent, asked, sent, really=True)
         return sent
 
     def pass_period(self) -> bool:

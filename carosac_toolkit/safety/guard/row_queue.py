@@ -25,6 +25,7 @@ class RowQueue:
 
     Attributes:
         lost: Rows that were given up: there was no room, or the journal failed.
+        waited: Time spent in `written` [s].
     """
 
     def __init__(
@@ -43,7 +44,11 @@ class RowQueue:
         self._lag, self._rows_max, self._threaded = lag, rows_max, threaded
         self._describe = describe
         self._rows: deque[Row] = deque()
-        self._wake = threading.Condition()
+        lock = threading.RLock()
+        self._wake = threading.Condition(lock)
+        self._done = threading.Condition(lock)  # rows finished
+        self._put = self._finished = 0
+        self.waited = 0.0
         self._thread: threading.Thread | None = None
         self._writing: float | None = None  # when the row was put that the journal is at
         self._ending = False
@@ -64,6 +69,19 @@ class RowQueue:
             return f"it is {behind:.1f} s behind; allowed: {self._lag:g} s"
         return f"{lost} rows found no room" if lost else None
 
+    def written(self, timeout: float) -> bool:
+        """Return whether all rows up to now have been handed to the journal.
+
+        Args:
+            timeout: Longest wait for that [s].
+        """
+        began = time.monotonic()
+        with self._wake:
+            last = self._put
+            self._done.wait_for(lambda: self._finished >= last or self._broken is not None, timeout)
+            self.waited += time.monotonic() - began
+            return self._finished >= last and self._broken is None
+
     def put(self, method: Callable[..., None], *arguments: Any, **named: Any) -> None:
         """Queue a call of the journal; never wait for it where a thread writes."""
         row = (time.monotonic(), method, arguments, named)
@@ -78,6 +96,7 @@ class RowQueue:
                 self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
                 self._thread.start()
             self._rows.append(row)
+            self._put += 1
             self._wake.notify()
 
     def end(self, timeout: float = END_TIMEOUT_S) -> int:
@@ -109,6 +128,8 @@ class RowQueue:
             self._write(row)
             with self._wake:
                 self._writing = None
+                self._finished += 1
+                self._done.notify_all()
                 if self._broken is not None:
                     self.lost += len(self._rows)
                     self._rows.clear()

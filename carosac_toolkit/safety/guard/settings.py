@@ -12,19 +12,20 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.home_check import SenseErrors
 from carosac_toolkit.safety.limiter import LimitSettings
 
 WINCH_DELAY_S = 0.1  # 50 ms of the winches, network, sampling, and a period
 UNITS_OF_FIELDS = {
     "m": (
         "first_max", "range_margin", "jump_max", "following_max", "direction_max", "closure_max",
-        "belief_max", "workspace_margin", "home_change_max", "step_max",
+        "belief_max", "workspace_margin", "home_change_max", "step_max", "first_way",
     ),
     "s": ("period", "hang_time", "slack_time", "record_lag", "stale_time"),
     "m/s": ("speed_max",),
-    "": ("tension_shift_max",),
+    "": ("tension_shift_max", "first_shift_max"),
 }  # fmt: skip
-NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max")
+NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max", "first_shift_max")
 Point = tuple[float, float, float]
 SCENE_SETTINGS = ("set_down", "wind_force", "wind_time")  # of a study's case, for a simulation
 
@@ -51,6 +52,9 @@ class GuardSettings:
         rehearse: Whether a dry run homes at `start_position` in `connect` too, and refuses what
             `enable` would; offsets are numbers of this host, and no drive hears of it.
         home_anew: Whether `enable_at_once` may change offsets by more than `home_change_max`.
+        home_confirmed: Whether a person vouches for the pose by which `enable_at_once` homes anew,
+            where load cells, IMU and pose measurement would not notice a wrong one.
+        senses: Errors of those and of a home that is right; they decide what is noticed.
         real_time: Whether the driver's time is wall-clock time; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
         limits: Limits of the commands; the box is judged by the pose instead (`workspace_margin`).
@@ -71,6 +75,9 @@ class GuardSettings:
         tension_shift_max: Largest relative change since `enable` of the ratio of measured tension
             to equilibrium tension at the measured lengths; with load cells and six cables or fewer.
             None: not checked, as sway shifts tensions too; for slow runs.
+        first_way: Distance from where the robot is enabled at a new home within which it is to be
+            moved slowly [m]; a home is new if it changed an offset by more than `home_change_max`.
+        first_shift_max: The same as `tension_shift_max`, within `first_way` alone.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
         belief_max: Largest distance of the estimated position from that of the lengths [m].
@@ -100,6 +107,8 @@ class GuardSettings:
     reset_at_once: bool = False
     rehearse: bool = False
     home_anew: bool = False
+    home_confirmed: bool = False
+    senses: SenseErrors = field(default_factory=SenseErrors)
     real_time: bool | None = None
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
     first_max: float = 0.1
@@ -110,6 +119,8 @@ class GuardSettings:
     following_max: float = 0.06
     direction_max: float = 0.004
     tension_shift_max: float | None = None
+    first_way: float = 0.1
+    first_shift_max: float | None = None
     closure_max: float = 0.03
     belief_max: float = 0.7
     workspace_margin: float = 0.3

@@ -45,6 +45,7 @@ QUICK_SEEDS = 2
 DEFAULT_CONTROLLERS = ("straight_line", "kinematic_solver")
 DEFAULT_ESTIMATORS = ("kinematic_solver",)
 DEFAULT_TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
+SEEDS_ALLOWED = "a whole number, 1 or more, or a list of seeds"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +107,8 @@ class Study:
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
                 if isinstance(value, str) or not isinstance(value, Sequence):
-                    raise InvalidField(item.name, repr(value), "a list")
+                    allowed = SEEDS_ALLOWED if item.name == "seeds" else "a list"
+                    raise InvalidField(item.name, repr(value), allowed)
                 object.__setattr__(self, item.name, tuple(value))
         object.__setattr__(self, "driver", name_of(self.driver))
         for kind in ("controllers", "estimators"):
@@ -119,7 +121,7 @@ class Study:
         if self.driver == "replay" and known:  # `check` refuses all others
             object.__setattr__(self, "trajectories", (RECORDED_TRAJECTORY,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
-            raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
+            raise InvalidField("seeds", repr(self.seeds), SEEDS_ALLOWED)
 
     def quick(self) -> Study:
         """Return the same study with the first two seeds: a first look, in under a minute."""

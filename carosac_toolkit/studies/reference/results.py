@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, markdown_table, sheets
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults
 from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, SuiteTask
+from carosac_toolkit.studies.run.folder import json_record
 from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
@@ -110,22 +110,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         MissingFile: There is no record.
         InvalidFile: It is none of a suite.
     """
-    path = folder / RECORD
-    try:
-        content = json.loads(_text(path))
-    except ValueError as error:
-        raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
-    schema = content.get("schema") if isinstance(content, dict) else None
-    if schema != REFERENCE_SCHEMA:
-        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {REFERENCE_SCHEMA!r}"])
-    faults = [
-        f"{name}: got {content.get(name)!r}; allowed: a text"
-        for name in ("suite", "digest")
-        if not isinstance(content.get(name), str)
-    ]
-    if faults:
-        raise InvalidFile(path, faults)
-    return dict(content)
+    kinds = {"suite": str, "digest": str}
+    return json_record(folder / RECORD, REFERENCE_SCHEMA, kinds, read=_text)
 
 
 def _text(path: Path) -> str:

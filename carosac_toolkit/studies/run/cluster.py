@@ -32,10 +32,12 @@ _DASK_CONFIG = {
     "distributed.diagnostics.nvml": False,
     "distributed.nanny.pre-spawn-environ": {},
     "distributed.scheduler.allowed-failures": 1000,  # workers count the deaths of their cases
+    "distributed.scheduler.http.routes": [],  # it serves no pages
     "distributed.scheduler.no-workers-timeout": "60s",
     "distributed.scheduler.work-stealing": True,
     "distributed.scheduler.worker-saturation": 1.0,  # the other cases wait at the scheduler
     "distributed.scheduler.worker-ttl": None,  # compiled code may hold the interpreter for long
+    "distributed.worker.http.routes": [],
     "distributed.worker.preload": ["carosac_toolkit.studies.run.worker_setup"],
     "distributed.worker.profile.enabled": False,
 }
@@ -52,13 +54,14 @@ def usable_cores() -> int:
 def local_client(workers: int) -> Iterator[Any]:
     """Start worker processes with one thread each; they end with the block or with this process.
 
-    Nothing listens on any network but the loopback interface.
+    They listen on random ports of the loopback interface alone, over TLS with a certificate that is
+    made here and never written to disk, so that other users of this machine are refused.
 
     Args:
         workers: Number of workers.
     """
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client, LocalCluster, Security
 
     with _environment(SINGLE_THREAD_ENVIRONMENT), _hidden_main(), dask.config.set(_DASK_CONFIG):
         cluster = LocalCluster(
@@ -66,11 +69,15 @@ def local_client(workers: int) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK_ADDRESS,
+            security=Security.temporary(),
             dashboard_address=f"{LOOPBACK_ADDRESS}:0",
+            scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # none: the system ends what takes too much, and the case says so
             silence_logs=logging.CRITICAL,
         )
         with cluster, Client(cluster, set_as_default=False) as client:
+            scheduler: Any = cluster.scheduler
+            scheduler.http_server.stop()  # dask starts it in any case
             yield client
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -183,7 +183,8 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
         missing = [x for x in held["cases"] if x[0] not in {y[0] for y in asked["cases"]}]
         if missing:
             there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
-            raise _conflict(path, there, _axes(asked, asked["cases"]))
+            differing = _differing(_settings(held, missing), _settings(asked, asked["cases"]))
+            raise _conflict(path, there, _axes(asked, asked["cases"]) + differing)
         if held["cases"] == asked["cases"]:
             return
     with replacing(file) as temporary:
@@ -210,24 +211,46 @@ def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
 def _read_manifest(path: Path) -> dict[str, Any]:
     """Read the cases that a study was asked for."""
     file = path / MANIFEST_FILE
+    kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
     try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
+        return json_record(file, STUDY_SCHEMA, kinds)
     except FileNotFoundError as error:
         raise MissingFile(file, "this is no folder of a study") from error
+
+
+def _utf8(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
+
+
+def json_record(
+    file: Path, schema: str, kinds: Mapping[str, type], *, read: Callable[[Path], str] = _utf8
+) -> dict[str, Any]:
+    """Read a JSON object of a schema.
+
+    Args:
+        file: The file.
+        schema: Value that its field ``schema`` must have.
+        kinds: Fields that it must have, texts or lists.
+        read: Reads its text.
+
+    Raises:
+        InvalidFile: It is no JSON, of another schema, or lacks a field.
+    """
+    try:
+        record = json.loads(read(file))
     except ValueError as error:
         raise InvalidFile(file, [f"this is no JSON: {error}"]) from error
-    schema = manifest.get("schema") if isinstance(manifest, dict) else None
-    if schema != STUDY_SCHEMA:
-        raise InvalidFile(file, [f"schema: got {schema!r}; allowed: {STUDY_SCHEMA!r}"])
-    kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
+    held = record.get("schema") if isinstance(record, dict) else None
+    if held != schema:
+        raise InvalidFile(file, [f"schema: got {held!r}; allowed: {schema!r}"])
     faults = [
-        f"{name}: got {manifest.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
+        f"{name}: got {record.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
         for name, kind in kinds.items()
-        if not isinstance(manifest.get(name), kind)
+        if not isinstance(record.get(name), kind)
     ]
     if faults:
         raise InvalidFile(file, faults)
-    return manifest  # type: ignore[no-any-return]
+    return dict(record)
 
 
 def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
@@ -248,3 +271,29 @@ def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
     settings = {canonical(manifest["settings"][entry[-1]]) for entry in entries}
     shown = min(settings) if len(settings) == 1 else f"{len(settings)} different"
     return f"{len(entries)} cases with " + "; ".join([*text, f"settings {shown[:200]}"])
+
+
+def _settings(manifest: dict[str, Any], entries: list[list[Any]]) -> set[tuple[str, str]]:
+    """Return the settings of some cases: name, dotted where it is nested, and value."""
+
+    def leaves(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+        for name, value in settings.items():
+            if isinstance(value, dict):
+                yield from leaves(value, f"{above}{name}.")
+            else:
+                yield f"{above}{name}", json.dumps(value)
+
+    used = {entry[-1] for entry in entries}
+    return {leaf for index in used for leaf in leaves(manifest["settings"][index])}
+
+
+def _differing(held: set[tuple[str, str]], asked: set[tuple[str, str]]) -> str:
+    """Name the settings that differ, with both values."""
+    texts = []
+    for name in sorted({name for name, _ in held ^ asked}):
+        values = [
+            " or ".join(sorted(value for other, value in side if other == name)) or "none"
+            for side in (held, asked)
+        ]
+        texts.append(f"{name} (held {values[0]}, asked {values[1]})")
+    return f"; differing settings: {', '.join(texts)}" if texts else ""

@@ -16,8 +16,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
-from carosac_toolkit.loop.loop import BadPlugin, Log, run
+from carosac_toolkit.loop.loop import Log, run
 from carosac_toolkit.loop.plugin_builder import build_plugin
+from carosac_toolkit.loop.plugin_errors import BadPlugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.file import load_robot, robot_text

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.identification import IdentificationSettings, identify
+from calibration.identification.procedure import identify
+from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField

@@ -9,14 +9,12 @@ import pytest
 from scipy.stats import chi2
 
 import carosac_toolkit as ct
-from calibration.lengths import (
-    LengthCalibration,
-    LengthSettings,
-    MixUp,
-    calibrate_lengths,
-    fit,
-    suggest_poses,
-)
+from calibration.lengths import fit
+from calibration.lengths.calibrate import calibrate_lengths
+from calibration.lengths.checks import MixUp
+from calibration.lengths.planning import suggest_poses
+from calibration.lengths.result import LengthCalibration
+from calibration.lengths.settings import LengthSettings
 from calibration.lengths.synthetic import LengthSceneSettings, draw_length_scene
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField

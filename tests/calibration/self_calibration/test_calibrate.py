@@ -5,10 +5,11 @@ import pytest
 from scipy.stats import chi2
 
 from calibration.observability import Unobservable
-from calibration.self_calibration import SelfCalibrationSettings, calibrate_motor_angles
 from calibration.self_calibration.blunder_tests import settle
+from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.map_estimate import estimate
 from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import equations
 from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import (

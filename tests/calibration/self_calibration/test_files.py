@@ -3,7 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.self_calibration import holds_motor_angles, load_motor_angles, write_motor_angles
+from calibration.self_calibration.motor_angle_files import (
+    holds_motor_angles,
+    load_motor_angles,
+    write_motor_angles,
+)
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 
 GOOD = """# a comment

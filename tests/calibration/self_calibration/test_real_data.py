@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.self_calibration import calibrate_motor_angles, load_motor_angles
+from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.motor_angle_files import load_motor_angles
 
 PUBLISHED = np.array(
     [

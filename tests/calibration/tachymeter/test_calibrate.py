@@ -7,9 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from calibration.observability import Unobservable
-from calibration.tachymeter import Instrument, ReferencePoint, Sighting, calibrate_tachymeter
-from calibration.tachymeter.calibrate import _pulleys
-from calibration.tachymeter.observations import READING_NAMES
+from calibration.tachymeter.calibrate import _pulleys, calibrate_tachymeter
+from calibration.tachymeter.observations import READING_NAMES, Instrument, ReferencePoint, Sighting
 from calibration.tachymeter.sightings import elevation
 from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.tachymeter.scenes import EXACT, ROBOT, drawn, pulley_robot

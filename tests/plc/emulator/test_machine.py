@@ -7,14 +7,15 @@ from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, Answer, Request
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
-from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM, Winches, WinchLimits
+from carosac_toolkit.plc.emulator.winches import BRAKE_RATIO, BRAKING_SHARE, Winches, WinchLimits
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 from tests.robots import simple_robot
 
 CYCLE, PERIOD, WATCHDOG = 0.005, 0.01, 0.1
+IDENTITY = 2**63 + 5  # hash of the robot; ULINT, not LINT
 START = np.array([9.0, 8.0, 9.0, 8.5])
 ROBOT = simple_robot()
-PEAK_MAX = ACCELERATION_HEADROOM * ROBOT.acceleration_max + 1e-9
+PEAK_MAX = ROBOT.acceleration_max + 1e-9
 LIMITS = WinchLimits(
     length_min=ROBOT.length_min, length_max=ROBOT.length_max, speed=ROBOT.speed_max,
     acceleration=ROBOT.acceleration_max, jerk=np.full(4, 200.0), step=np.full(4, 0.03),
@@ -26,14 +27,15 @@ class Rig:
     """A machine whose winches stand exactly where they are told, and a host that writes."""
 
     def __init__(self):
-        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG)
+        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG, identity=IDENTITY)
         self.machine.place(START)
         self.offset = np.zeros(4)  # what the encoders say too much
         self.machine.reference = np.zeros(4)
         self.host = {
-            "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
-            "request_number": 0, "follow": 0, "command": 0, "period": PERIOD, "length": START,
-            "rate": np.zeros(4), "sequence_end": 0,
+            "layout": BLOCK_LAYOUT, "cables": 4, "sequence": 0, "session": 7, "host_number": 70,
+            "machine": IDENTITY, "request": 0, "request_number": 0, "follow": 0,
+            "command": 0, "period": PERIOD, "length": START, "rate": np.zeros(4),
+            "sequence_end": 0, "fault": 0,
         }  # fmt: skip
         self.positions = []
         self.cycles()
@@ -233,16 +235,131 @@ def test_a_command_beyond_the_speed_limit_stops_the_winches_within_their_limits(
     assert rig.machine.winches.at_rest
 
 
-def test_commands_that_stop_coming_are_not_followed_for_ever(rig):
+def shared_factors(speeds, before):
+    """Largest reversal [unit/s] and distance of the speeds from one common factor of `before`."""
+    speeds = np.array(speeds)
+    factors = speeds @ before / (before @ before)
+    back = float(np.max(-speeds * np.sign(before)))
+    return back, float(np.abs(speeds - factors[:, None] * before).max() / np.abs(before).max())
+
+
+@pytest.mark.parametrize("beat", [True, False])  # a controller that hangs, a host that is gone
+def test_commands_that_stop_coming_end_in_a_common_ramp_and_a_latched_fault(rig, beat):
     rig.ask(Request.ENABLE)
     sent = rig.move(0.4, amplitude=1.0)
-    rate = (sent[-1] - sent[-2]) / PERIOD
-    rig.cycles(400)  # the heartbeat goes on: a controller that hangs
-    assert rig.machine.state is DriveState.FOLLOWING
-    assert rig.machine.winches.speed == pytest.approx(np.zeros(4), abs=1e-6)
+    rate = np.abs(sent[-1] - sent[-2]).max() / PERIOD
+    rig.cycles(2, beat=beat)
+    before, speeds = rig.machine.winches.speed.copy(), []
+    for _ in range(200):
+        rig.cycles(beat=beat)
+        speeds.append(rig.machine.winches.speed.copy())
+    back, apart = shared_factors(speeds, before)
+    assert back <= 1e-9 and apart < 1e-9
+    assert (rig.machine.state, rig.machine.fault) == (DriveState.FAULT, Fault.HEARTBEAT_LOST)
+    assert rig.machine.counters.watchdog == 1
     far = np.abs(rig.machine.winches.position - sent[-1]).max()
-    assert far < 3 * PERIOD * np.abs(rate).max()
+    assert far < rate**2 / (2 * ROBOT.acceleration_max[0]) + 2 * PERIOD * rate
     assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
+
+
+@pytest.mark.parametrize("cause", ["stop", "disable", "hold", "nan", "over_limit", "trip", "step"])
+def test_no_way_to_stop_turns_a_winch_back_or_parts_the_winches(rig, cause):
+    rig.host = rig.host | {"fault": Fault.CONTROLLER.number}
+    rig.ask(Request.ENABLE)
+    rig.move(0.4, amplitude=1.0)
+    before = rig.machine.winches.speed.copy()
+    if cause in ("stop", "disable", "hold"):
+        rig.ask(Request[cause.upper()])
+    elif cause == "trip":
+        rig.machine.wires.tripped[3] = True  # of the winch that stands
+    else:
+        far = {"nan": np.nan, "over_limit": 0.2, "step": -0.5}[cause]
+        rig.send(rig.host["length"] + np.array([far, 0, 0, 0]), cycles=1)
+    speeds = [rig.machine.winches.speed.copy()]
+    while not rig.machine.winches.at_rest:
+        rig.cycles()
+        speeds.append(rig.machine.winches.speed.copy())
+    back, apart = shared_factors(speeds, before)
+    assert back <= 1e-9 and apart < 1e-9
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
+
+
+@pytest.mark.parametrize("lost", [0, 5])  # the host stood still, or its commands were lost
+def test_commands_that_come_again_during_the_ramp_are_caught_up_with_forwards(rig, lost):
+    rig.ask(Request.ENABLE)
+    step = 0.8 * PERIOD * np.array([1.0, -0.7, 0.3, 0.0])
+    for speed in np.minimum(1.0, 0.05 * np.arange(60)):
+        rig.send(rig.host["length"] + speed * step)
+    rig.cycles(10)
+    assert (rig.machine.winches.speed[:3] != 0.8 * step[:3] / step[0]).all()
+    rig.host = rig.host | {"command": rig.host["command"] + lost}
+    rig.host["length"] = rig.host["length"] + lost * step
+    for _ in range(60):
+        rig.send(rig.host["length"] + step)
+        assert (rig.machine.winches.speed * np.sign(step) >= 0.0).all()
+    assert rig.machine.state is DriveState.FOLLOWING
+    assert rig.machine.winches.speed == pytest.approx(step / PERIOD, abs=1e-3)
+    late = rig.host["length"] - rig.machine.winches.position
+    assert np.abs(late).max() < 2 * np.abs(step).max()
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
+    assert (rig.machine.winches.speed_peak <= ROBOT.speed_max).all()
+
+
+def test_commands_that_come_again_at_rest_must_begin_where_the_winches_stand(rig):
+    rig.ask(Request.ENABLE)
+    for _ in range(20):
+        rig.send(rig.host["length"])
+    rig.cycles(12)
+    rig.send(rig.host["length"] + 0.02)
+    assert rig.machine.state is DriveState.FOLLOWING
+    rig.cycles(round(0.09 / CYCLE))
+    rig.host["length"] = rig.machine.winches.position + 0.04
+    rig.send(rig.host["length"])
+    assert (rig.machine.fault, rig.machine.counters.jumps) == (Fault.COMMAND, 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"period": 10.0}, Fault.COMMAND), ({"period": 1e300}, Fault.COMMAND),
+        ({"period": 1e-9}, Fault.COMMAND), ({"period": 0.05}, Fault.COMMAND),
+        ({"period": np.nan}, Fault.COMMAND), ({"command": 1100}, Fault.OVER_LIMIT),
+        ({"command": 3}, Fault.OVER_LIMIT),
+    ],
+)  # fmt: skip
+def test_no_period_or_number_of_the_host_lifts_the_limits(rig, changes, fault):
+    rig.ask(Request.ENABLE)
+    rig.move(0.2)
+    peak = rig.machine.winches.speed_peak.max()
+    rig.host = rig.host | {"length": rig.host["length"] + np.array([1.0, 0, 0, 0])} | (
+        {"command": rig.host["command"] + 1} | changes
+    )  # fmt: skip
+    rig.cycles(100)
+    assert (rig.machine.state, rig.machine.fault) == (DriveState.FAULT, fault)
+    assert rig.machine.winches.speed_peak.max() == peak
+
+
+@pytest.mark.parametrize(
+    "changes", [{"rate": np.full(4, 1e300)}, {"rate": np.array([0, 0, 3.0, 0])}, {"period": 0.2}]
+)
+def test_a_rate_or_period_out_of_range_is_refused_with_a_length_that_could_be_followed(
+    rig, changes
+):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | changes
+    rig.send(START)
+    assert rig.machine.state is DriveState.FAULT
+
+
+def test_commands_faster_than_the_limit_by_the_clock_of_the_plc_are_not_followed(rig):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | {"period": 0.1}  # stated; one comes each 10 ms
+    for _ in range(30):
+        rig.send(rig.host["length"] + np.array([0.05, 0, 0, 0]) * (rig.host["command"] > 1))
+        if rig.machine.state is DriveState.FAULT:
+            break
+    assert rig.machine.fault is Fault.OVER_LIMIT
+    assert rig.machine.counters.commands < 10
 
 
 def test_only_one_session_is_obeyed(rig):
@@ -255,11 +372,29 @@ def test_only_one_session_is_obeyed(rig):
     rig.host = rig.host | {"length": START + 0.01, "follow": 1, "command": 9}
     rig.cycles(3)
     assert rig.machine.state is DriveState.ENABLED
-    assert rig.out["owner"] == 7
+    assert rig.out["owner"] == 70  # the public number, not the session
     rig.host = mine
     assert rig.ask(Request.DISABLE) is Answer.DONE
     rig.cycles(2)
     assert rig.out["owner"] == 0 and rig.machine.state is DriveState.CONNECTED
+
+
+def test_a_host_with_the_file_of_another_robot_is_not_enabled(rig):
+    rig.host = rig.host | {"machine": IDENTITY + 1}
+    assert rig.ask(Request.ENABLE) is Answer.ANOTHER_ROBOT
+    assert rig.machine.state is DriveState.CONNECTED and rig.out["owner"] == 0
+    rig.send(START + 0.01)
+    assert rig.machine.winches.position == pytest.approx(START)
+    rig.host = rig.host | {"machine": IDENTITY}
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+
+
+def test_the_public_number_of_the_owner_commands_nothing(rig):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | {"session": rig.host["host_number"]}
+    rig.send(START + 0.01)
+    assert rig.machine.state is DriveState.ENABLED
+    assert rig.machine.counters.foreign > 0
 
 
 def test_torn_data_are_not_taken_over(rig):
@@ -298,23 +433,22 @@ def test_a_trip_that_goes_away_in_mid_ramp_does_not_start_the_winch_again(rig):
     while not rig.machine.winches.at_rest:
         rig.cycles()
         assert rig.machine.winches.speed[0] == 0.0
-    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
+    peak = rig.machine.winches.acceleration_peak
+    assert peak[0] == pytest.approx(BRAKE_RATIO * ROBOT.acceleration_max[0])  # by its brake
+    assert (peak <= PEAK_MAX)[1:].all()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_ramp_ends_before_the_soft_ends_and_otherwise_by_one_factor(sign):
     winches = Winches(LIMITS, CYCLE)
+    brake = BRAKING_SHARE * LIMITS.acceleration[1]
     middle = (LIMITS.length_min + LIMITS.length_max) / 2
     end = LIMITS.length_max if sign > 0 else LIMITS.length_min
     worst, capped = -np.inf, 0
     for distance in (0.01, 0.05, 0.1, 0.2, 0.3):
-        start = middle.copy()
-        start[1] = end[1] - sign * 0.4
-        winches.place(start)
-        while sign * (end[1] - winches.position[1]) > distance:  # cable 1 as fast as it may
-            goal = winches.position + np.array([0.3, 0, 0, 0])
-            goal[1] = end[1]
-            winches.follow(goal, np.zeros(4), 0.02)
+        winches.place(middle)
+        winches.position[1] = end[1] - sign * distance
+        winches.speed = np.array([2.5, sign * np.sqrt(2 * brake * distance), 0, 0])
         begun = winches.speed.copy()
         while not winches.at_rest:
             winches.ramp(np.zeros(4, dtype=bool))
@@ -381,7 +515,7 @@ def test_a_winch_that_does_not_follow_is_a_fault(rig):
     rig.move(0.1)
     for _ in range(60):
         rig.offset = rig.offset + np.array([0, 0, 0.006, 0])
-        rig.cycles()
+        rig.send(rig.host["length"])
         if rig.machine.state is DriveState.FAULT:
             break
     assert (rig.machine.fault, rig.machine.fault_axis) == (Fault.FOLLOWING_ERROR, 3)

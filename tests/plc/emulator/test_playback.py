@@ -50,15 +50,19 @@ def test_a_straight_line_stays_one_and_is_late_by_the_time_that_is_stated():
     assert 0.75 * PERIOD <= late[-50:].min() and late[-50:].max() <= 1.85 * PERIOD
 
 
-def test_without_commands_it_goes_on_for_a_period_or_two_and_stands():
+def test_without_commands_it_goes_on_straight_for_a_period_or_two_and_ends():
     playback = Playback(np.array([9.0]))
     for k in range(100):
         playback.add(np.array([9.0 + 0.005 * k]), 1, PERIOD)
         playback.advance(PERIOD)
-    goals = [playback.advance(CYCLE) for _ in range(100)]
+    goals = []
+    while not playback.ended:
+        goals.append(playback.advance(CYCLE))
     last = 9.0 + 0.005 * 99
-    assert last < goals[-1][0][0] <= last + 1.5 * 0.005
-    assert goals[-1][1][0] == 0.0
+    assert last + 1.5 * 0.005 == pytest.approx(goals[-1][0][0], abs=0.5 * CYCLE)
+    assert [rate[0] for _, rate in goals] == pytest.approx([0.5] * len(goals))
+    playback.add(np.array([last + 0.005]), 1, PERIOD)
+    assert not playback.ended
 
 
 def test_lost_commands_lie_on_a_straight_line():

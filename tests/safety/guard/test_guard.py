@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -302,6 +303,68 @@ def test_a_fault_is_named_and_all_cables_come_to_rest_within_the_limits(cause, f
     guard.close()
 
 
+def test_samples_that_come_late_while_it_brakes_are_no_jump():
+    """The motion since the newest sample is that of faster cycles than the present one."""
+    guard = connected(following_max=9.0, direction_max=9.0, closure_max=9.0)
+    drive(guard, 40, speed=1.5)
+    original, kept = guard.inner.measure, []
+
+    def late():
+        kept.append(original())
+        shown = kept[1] if 2 < len(kept) <= 6 else kept[-1]  # four periods without a sample
+        return replace(shown, time=kept[-1].time)
+
+    guard.inner.measure = late
+    guard.stop("SIGINT")
+    assert len(kept) > 8
+    assert guard.fault is None, guard.fault
+    guard.close()
+
+
+class SilentDriver(FailingDriver):
+    """A robot behind a link: once `since` is set no sample comes, while the clock goes on."""
+
+    lost_after, since = 0.5, None  # [s]
+
+    def measure(self):
+        if self.since is None:
+            return super().measure()
+        return replace(self.since, time=FailingDriver.measure(self).time)
+
+    @property
+    def silent(self):
+        return self.since is not None and (
+            FailingDriver.measure(self).time[0] - self.since.time[0] > self.lost_after
+        )
+
+    def status(self):
+        return str(DriveState.FAULT) if self.silent else super().status()
+
+    @property
+    def fault(self):
+        return Fault.LOST_CONNECTION if self.silent else super().fault
+
+
+def test_a_silent_link_is_a_lost_connection_once_its_patience_ends_and_no_fault_of_the_controller():
+    """Also where the platform is so fast that its winches have left their last samples far."""
+    inner = SilentDriver.build(ROBOT, QuasiStaticSettings(period=PERIOD), seed=1)
+    settings = GuardSettings(driver="quasi_static", period=PERIOD, motion=True)
+    guard = GuardedDriver(inner, ROBOT, settings, real_time=False)
+    guard.journal = Notes()
+    guard.connect()
+    drive(guard, 10, speed=1.0)
+    inner.since = FailingDriver.measure(inner)
+    begin, asked = float(inner.since.time[0]), standing(guard)
+    lead = lengths_at(ROBOT.home_position) - lengths_at(
+        ROBOT.home_position + np.array([PERIOD, 0.0, 0.0])
+    )
+    while guard.wait(PERIOD):
+        asked = asked - lead  # 1 m/s
+        guard.command(Command(time=guard.measure().time, unstrained_length=asked))
+    assert guard.fault.fault is Fault.LOST_CONNECTION, guard.fault
+    assert guard.fault.time - begin == pytest.approx(inner.lost_after, abs=2.0 * PERIOD)
+
+
 def test_lost_measurements_are_a_lost_connection():
     guard = connected()
     drive(guard, 40)
@@ -413,7 +476,7 @@ def test_drives_that_no_longer_follow_are_a_fault():
     "error, fault",
     [
         (InvalidField("unstrained_length[0]", "nan", "finite"), Fault.ENCODER_JUMP),
-        (InvalidField("tension[0]", "nan", "finite"), Fault.UNKNOWN),
+        (InvalidField("tension[0]", "nan", "finite"), Fault.TENSION),
         (RuntimeError("a kernel failed"), Fault.LOST_CONNECTION),
     ],
 )
@@ -469,7 +532,7 @@ def test_a_journal_that_raises_anything_keeps_no_command_from_being_sent():
     guard.journal.event = guard.journal.sent = guard.journal.measured = closed
     before = len(guard.inner.seen)
     guard.stop("done")
-    assert told == [before + 1]  # the first command of the stop came before the journal
+    assert told == [before]  # the row of the first command of the stop comes before it
     seen = np.array(guard.inner.seen)
     assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
     assert within_limits(seen)
@@ -505,7 +568,10 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
         guard.home(wrong)
     assert guard.state is DriveState.CONNECTED
     assert standing(guard) == pytest.approx(before, abs=2e-3)
-    guard.home(wrong, anew=True)
+    with pytest.raises(NotReady, match=r"encoders alone do not show .* --home-confirmed"):
+        guard.home(wrong, anew=True)
+    assert guard.state is DriveState.CONNECTED
+    guard.home(wrong, anew=True, confirmed=True)
     assert guard.state is DriveState.HOMED
     assert guard.home_change == pytest.approx((lengths_at(wrong.position[0]) - before)[0], abs=2e-3)
     guard.close()
@@ -513,7 +579,9 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
         at_once = guarded(start_position=tuple(wrong.position[0]))
         at_once.connect()
     assert at_once.state is DriveState.DISCONNECTED
-    connected(start_position=tuple(wrong.position[0]), home_anew=True).close()
+    with pytest.raises(NotReady, match="encoders alone"):
+        connected(start_position=tuple(wrong.position[0]), home_anew=True)
+    connected(start_position=tuple(wrong.position[0]), home_anew=True, home_confirmed=True).close()
 
 
 def test_a_dry_run_rehearses_homing_and_what_enabling_checks_and_sends_nothing():
@@ -596,6 +664,7 @@ def test_a_recording_that_blocks_holds_nobody_up_and_ends_the_run_by_its_name():
             break
     assert guard.fault.fault is Fault.RECORDING
     assert "behind; allowed: 0.3 s" in guard.fault.text
+    assert guard.monitor.unwritten > 3  # a stop waits for no row
     guard.stop("fault")
     seen = np.array(guard.inner.seen)
     assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
@@ -608,6 +677,28 @@ def test_a_recording_that_blocks_holds_nobody_up_and_ends_the_run_by_its_name():
     lengths = [x for x in guard.journal.lengths]
     assert (np.diff([float(x.time[0]) for x in lengths]) >= 0.0).all()  # in order, none lost
     assert "at_rest" in guard.journal.names()
+
+
+@pytest.mark.parametrize("real_time", [False, True])
+def test_no_length_reaches_the_drives_before_its_row_is_written(real_time):
+    """So that it is on the disk whatever then kills the process; late rows are counted."""
+    guard = guarded(real_time=real_time, overrun_share=1.0, hang_time=60.0)
+    guard.connect()
+    original, missing = guard.inner.command, []
+
+    def command(sent):
+        length = sent.unstrained_length + guard.monitor.offset
+        rows = [row.unstrained_length for _, row, _ in guard.journal.commands[-1:]]
+        missing.append(not any(np.allclose(row, length, atol=1e-12) for row in rows))
+        return original(sent)
+
+    guard.inner.command = command
+    drive(guard, 40)
+    guard.stop("done")
+    assert len(missing) > 40
+    assert sum(missing) <= guard.monitor.unwritten
+    assert guard.monitor.unwritten < (len(missing) // 2 if real_time else 1)
+    guard.close()
 
 
 def test_the_watchdog_brakes_while_a_recording_blocks():
@@ -644,6 +735,7 @@ def test_the_loop_runs_to_the_end_and_leaves_the_robot_at_rest():
     [
         ({"fails_at": 40, "error": ZeroDivisionError("oops")}, Fault.CONTROLLER, ZeroDivisionError),
         ({"fails_at": 40, "error": BadPlugin("no")}, Fault.CONTROLLER, BadPlugin),
+        ({"fails_at": 40, "error": SystemExit(0)}, Fault.CONTROLLER, BadPlugin),
         ({"fails_at": 40}, Fault.COMMAND, InvalidField),
     ],
 )
@@ -656,6 +748,21 @@ def test_a_controller_that_fails_is_named_and_the_robot_stops(broken, fault, kin
     assert within_limits(guard.inner.seen)
     assert "at_rest" in guard.journal.names()
     assert guard.state is DriveState.DISCONNECTED
+
+
+@pytest.mark.parametrize("operator", [True, False])
+def test_an_interrupt_is_a_fault_of_the_plug_in_unless_an_end_was_asked_for(operator, monkeypatch):
+    """As in `carosac run`, whose own handler takes Ctrl-C: only a second one interrupts."""
+    monkeypatch.setattr(signal, "getsignal", lambda number: "a handler of the program")
+    guard = guarded()
+    controller = Holding(fails_at=40, error=KeyboardInterrupt())
+    if operator:
+        controller.reset = lambda _: guard.end("SIGINT")
+        controller.fails_at = 1
+    with pytest.raises(KeyboardInterrupt):
+        run(guard, Holding(), controller, path())
+    assert (guard.fault is None) == operator
+    assert "at_rest" in guard.journal.names()
 
 
 def test_a_belief_that_runs_away_is_a_fault_of_the_estimator():

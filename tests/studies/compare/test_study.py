@@ -169,6 +169,7 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
     [
         ({"seeds": 0}, "seeds: got 0"),
         ({"seeds": True}, "seeds: got True"),
+        ({"seeds": "1"}, "seeds: got '1'; allowed: a whole number, 1 or more, or a list of seeds"),
         ({"seeds": [1, 1]}, "seeds: got"),
         ({"seeds": [-1]}, "seed: got -1"),
         ({"controllers": "straight_line"}, "controllers: got 'straight_line'; allowed: a list"),

@@ -1,18 +1,22 @@
 from __future__ import annotations
 
 import os
+import socket
+import ssl
 import sys
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import psutil
 import pytest
+from distributed import Client, Security
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.studies import UnfitWorker, read_rows, run_cases
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.cluster import SINGLE_THREAD_ENVIRONMENT, local_client
 from carosac_toolkit.studies.run.execution import WorkerTask, rows_of
+from tests.another_user import as_another_user, as_root
 from tests.studies.functions import one_case, some_cases, without_times
 from tests.studies.processes import cluster
 
@@ -145,6 +149,34 @@ def test_workers_are_alone_single_threaded_and_local(monkeypatch):
     assert os.environ.items() - environment.items() <= {
         (name, os.environ.get(name)) for name in ("PYTHONHASHSEED", "__DASK_PARENT_PID")
     }  # dask's own marks for its children
+
+
+@as_root
+def test_another_user_is_refused_at_every_port_of_a_study():
+    anybody = ssl.create_default_context()
+    anybody.check_hostname, anybody.verify_mode = False, ssl.CERT_NONE
+
+    def knock():
+        answers = []
+        for port in ports:
+            for wrap in (lambda connection: connection, anybody.wrap_socket):
+                with suppress(OSError), socket.socket() as plain:
+                    plain.settimeout(5.0)
+                    plain.connect(("127.0.0.1", port))
+                    with wrap(plain) as connection:
+                        connection.sendall(bytes(16))
+                        answers.append(connection.recv(1))
+        return answers
+
+    with local_client(2) as client:
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        connections = [x for process in processes for x in process.net_connections()]
+        ports = {x.laddr.port for x in connections if x.status == psutil.CONN_LISTEN}
+        assert len(ports) == 5  # the scheduler, two workers and their two nannies
+        assert set(as_another_user(knock)) <= {b""}  # closed without a word
+        stranger = Security.temporary()
+        with pytest.raises(OSError), Client(client.scheduler.address, security=stranger, timeout=2):
+            pass
 
 
 def test_a_scheduler_in_another_process_gives_the_same_rows(undisturbed, tmp_path):

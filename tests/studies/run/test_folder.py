@@ -59,6 +59,13 @@ def test_another_study_is_refused(tmp_path, monkeypatch):
         read_cases(tmp_path)
 
 
+def test_settings_that_differ_from_the_study_of_a_folder_are_named(tmp_path):
+    run([one_case("mpc", speed_max=1.0, weights={"sway": 2})], tmp_path)
+    message = r"speed_max \(held 1\.0, asked 2\.0\), weights\.sway \(held 2, asked none\)\."
+    with pytest.raises(StudyConflict, match=message):
+        run([one_case("mpc", speed_max=2.0)], tmp_path)
+
+
 def test_a_folder_serves_one_process_at_a_time(tmp_path):
     with opened(tmp_path, some_cases(3), SCORE):
         with pytest.raises(StudyConflict, match="another process"):

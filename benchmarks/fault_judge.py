@@ -1,0 +1,186 @@
+"""Judges a fault from what was seen on the wire: how the winches came to rest, and what was kept.
+
+Everything here works on the set points that the PLC showed and the commands that passed, never on a
+counter of the PLC or of the driver. Lengths are in metres, pay-out positive, offsets left out.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from carosac_toolkit.base.arrays import Array
+
+SPEED_TOLERANCE = 1.001  # share of a limit
+ACCELERATION_TOLERANCE = 1.01
+REVERSAL_MAX = 0.01  # [m/s] against the motion at the start of a stop
+FACTOR_TOLERANCE = 0.02  # share of the largest speed by which winches leave the common ramp
+REST_SPEED = 1e-4  # [m/s]
+REST_DRIFT = 1e-4  # [m] that a set position moves after rest
+FULL_SPEED_SHARE = 0.97  # below it a stop has begun
+STOP_WINDOW_S = 0.25  # before the fault, for the speed of the path
+RECORDED_TOLERANCE = 1e-6  # [m]
+FIRST_ROWS = 5  # among which the first command is
+DRIVES_ON = (1, 2)  # drive holding, drive moving
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a judge has to know of the robot.
+
+    Attributes:
+        scale: Metres of unstrained length per unit of the PLC, with sign, shape (4,).
+        speed_max: [m/s], shape (4,).
+        acceleration_max: [m/s^2], shape (4,).
+    """
+
+    scale: Array
+    speed_max: Array
+    acceleration_max: Array
+
+
+@dataclass(frozen=True)
+class SetPoints:
+    """Set points of the PLC while the drives were on, once a cycle.
+
+    Attributes:
+        at: Time at which they were read, by the monotonic clock [s], shape (K,).
+        time: By the clock of the PLC [s], shape (K,).
+        length: [m], shape (K, 4).
+        state: State of the PLC, shape (K,).
+    """
+
+    at: Array
+    time: Array
+    length: Array
+    state: Array
+
+    @property
+    def speed(self) -> Array:
+        """Rate of the set points [m/s], shape (K - 1, 4), between one cycle seen and the next."""
+        return np.diff(self.length, axis=0) / np.diff(self.time)[:, None]
+
+
+def set_points(at: Array, cycles: Array, machine: Machine) -> SetPoints:
+    """Return the set points of all cycles in which every drive held or moved.
+
+    Args:
+        at: When each was read [s], shape (K,).
+        cycles: Structures of the PLC, shape (K,).
+        machine: Scales.
+    """
+    on = np.isin(cycles["drive_status"], DRIVES_ON).all(axis=1)
+    new = np.concatenate([[True], np.diff(cycles["time"]) > 0.0])
+    at, cycles = at[on & new], cycles[on & new]
+    length = cycles["set_length"] * machine.scale
+    return SetPoints(at, cycles["time"], length, cycles["state"])
+
+
+def stop_range(points: SetPoints, fault_at: float) -> tuple[int, int]:
+    """Return the first and last interval of the stop; ends after it where it never came to rest.
+
+    A stop begins where the speed of all winches together falls below that of the path before the
+    fault for the last time.
+    """
+    total = np.linalg.norm(points.speed, axis=1)
+    when = points.at[1:]
+    before = (when > fault_at - STOP_WINDOW_S) & (when <= fault_at)
+    reference = float(np.median(total[before])) if before.any() else float(total.max(initial=0.0))
+    fast = np.flatnonzero(total >= FULL_SPEED_SHARE * reference)
+    first = int(fast[-1]) if len(fast) else 0
+    moving = np.flatnonzero(np.abs(points.speed).max(axis=1) > REST_SPEED)
+    last = int(moving[-1]) if len(moving) else first
+    return first, last
+
+
+def judge_limits(points: SetPoints, machine: Machine) -> list[str]:
+    """Return each limit of a winch that its set points broke."""
+    speed, duration = points.speed, np.diff(points.time)
+    next_to = duration < 1.5 * np.median(duration)  # no cycle was missed between them
+    pair = next_to[1:] & next_to[:-1]
+    middle = 0.5 * (duration[1:] + duration[:-1])[:, None]
+    acceleration = np.abs(np.diff(speed, axis=0) / middle)[pair]
+    shares = {
+        "speed": (np.abs(speed) / machine.speed_max, SPEED_TOLERANCE),
+        "acceleration": (acceleration / machine.acceleration_max, ACCELERATION_TOLERANCE),
+    }
+    return [
+        f"{name} at {share.max():.2f} of its limit"
+        for name, (share, allowed) in shares.items()
+        if share.size and share.max() > allowed
+    ]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """How the winches came to rest.
+
+    Attributes:
+        duration: From the first loss of speed to rest, by the clock of the PLC [s].
+        rest_at: When they were seen at rest, by the monotonic clock [s].
+        reversal: Largest speed against the motion at its start [m/s].
+        spread: Largest distance of a winch from the common ramp, as a share of the largest speed.
+        speed: Largest speed of a winch at its start [m/s].
+    """
+
+    duration: float
+    rest_at: float
+    reversal: float
+    spread: float
+    speed: float
+
+
+def judge_stop(points: SetPoints, fault_at: float) -> Stop:
+    """Return how the winches stopped after a fault at this time of the monotonic clock [s]."""
+    first, last = stop_range(points, fault_at)
+    speed = points.speed[first : last + 1]
+    start = speed[0]
+    against = np.where(np.abs(start) > REST_SPEED, -np.sign(start) * speed, np.abs(speed))
+    factor = speed @ start / max(float(start @ start), 1e-12)
+    largest = float(np.abs(start).max())
+    spread = np.abs(speed - factor[:, None] * start).max() / max(largest, 1e-6)
+    return Stop(
+        duration=float(points.time[last + 1] - points.time[first]),
+        rest_at=float(points.at[min(last + 1, len(points.at) - 1)]),
+        reversal=float(against.max(initial=0.0)),
+        spread=float(spread),
+        speed=largest,
+    )
+
+
+def commanded(commands: Array, machine: Machine) -> Array:
+    """Return each commanded length that passed, once [m], shape (K, 4)."""
+    followed = commands[commands["follow"] == 1]
+    _, first = np.unique(followed["command"], return_index=True)
+    return np.asarray(followed["length"][np.sort(first)] * machine.scale)
+
+
+def unrecorded(lengths: Array, file: Path) -> int:
+    """Return how many commanded lengths [m] are in no row of a recording.
+
+    The recording has the offsets of homing in its lengths, the wire has not: they are the
+    difference of the first command that passed and one of the first that were recorded.
+    """
+    rows = []
+    for line in file.read_text().splitlines():
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            continue  # cut off by a kill
+        if row.get("row") == "sent":
+            rows.append(row["unstrained_length"])
+    if not len(lengths):
+        return 0
+    if not rows:
+        return len(lengths)
+    kept = np.array(rows)
+    tree = cKDTree(kept)
+    missing = [
+        int((tree.query(lengths + first - lengths[0], p=np.inf)[0] > RECORDED_TOLERANCE).sum())
+        for first in kept[:FIRST_ROWS]
+    ]
+    return min(missing)
