@@ -54,6 +54,7 @@ FOUND = [
     ("GSI", replaced(b"21.322", b"21X322")),
     ("GSI", replaced(b"21.322", b"3a.322")),
     ("cdpyr", replaced(b"25.0", b"1" * 5000)),
+    ("cdpyr", replaced(b"25.0", b"1" * 400)),
     ("learning curve", lambda data: data.splitlines()[0] + b"\n1,2\n"),
     ("learning curve", lambda data: data + b"\xff"),
     ("episodes", replaced(b"4,-1.5", b"x,-1.5")),
