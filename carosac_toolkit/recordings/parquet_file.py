@@ -44,6 +44,7 @@ def read_parquet(path: Path) -> Recording:
 
     try:
         stored = pq.ParquetFile(path).read()
+        names = stored.schema.names
     except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name is not UTF-8
         fault = f"this is no whole Parquet file: {str(error).splitlines()[0]}"
         raise InvalidFile(path, [fault]) from error
@@ -52,7 +53,6 @@ def read_parquet(path: Path) -> Recording:
         for field in stored.schema
         if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
     ]
-    names = stored.schema.names
     double = {name for name in names if names.count(name) > 1}
     faults += [f"column {name!r} appears twice" for name in sorted(double)]
     if faults:

@@ -49,6 +49,7 @@ def as_npy(value):
 FOUND = [
     ("robot YAML", lambda data: b"a: " + b"[" * 50_000),
     ("Parquet", lambda data: data.replace(b"time_s", b"time_\xff")),
+    ("CSV", replaced(b'"rows": ', b'"rows": ' + b"1" * 5000)),
     ("log (jsonl)", replaced(b'"time":0.01', b'"time":1' + b"0" * 399)),
     ("log (jsonl)", replaced(b'"metadata":{', b'"metadata":[],"x":{')),
     ("GSI", replaced(b"21.322", b"21X322")),
