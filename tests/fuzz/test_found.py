@@ -52,6 +52,7 @@ FOUND = [
     ("CSV", replaced(b'"rows": ', b'"rows": ' + b"1" * 5000)),
     ("log (jsonl)", replaced(b'"time":0.01', b'"time":1' + b"0" * 399)),
     ("log (jsonl)", replaced(b'"metadata":{', b'"metadata":[],"x":{')),
+    ("policy", lambda data: b"linear_\xff".join(data.rsplit(b"linear_0", 1))),
     ("GSI", replaced(b"21.322", b"21X322")),
     ("GSI", replaced(b"21.322", b"3a.322")),
     ("cdpyr", replaced(b"25.0", b"1" * 5000)),
