@@ -73,8 +73,9 @@ def main() -> None:
         words = [
             "run", "--driver", "ads", "--robot", robot, "--by-hand", "--enable", "--home-anew",
             "--home-confirmed", "--home", *(str(x) for x in plc.robot.home_position),
-            "--speed", SPEED, "--priority", "--duration", seconds, "--recording", folder / "run.jsonl", "--json",
-            folder / "run.json", *(f"--set=driver.{x}={SILENCE_S}" for x in (
+            "--speed", SPEED, "--priority", "--duration", seconds,
+            "--recording", folder / "run.jsonl", "--json", folder / "run.json",
+            *(f"--set=driver.{x}={SILENCE_S}" for x in (
                 "stale_time", "hang_time", "inner.lost_after")),
         ]  # fmt: skip
         with (folder / "host.txt").open("w") as log:
