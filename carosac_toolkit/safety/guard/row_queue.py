@@ -44,8 +44,8 @@ class RowQueue:
         self._lag, self._rows_max, self._threaded = lag, rows_max, threaded
         self._describe = describe
         self._rows: deque[Row] = deque()
-        self._wake = threading.Condition()
-        self._done = threading.Condition(self._wake)  # rows finished, by the same lock
+        lock = threading.RLock()
+        self._wake, self._done = threading.Condition(lock), threading.Condition(lock)
         self._put = self._finished = 0
         self.waited = 0.0
         self._thread: threading.Thread | None = None
