@@ -71,10 +71,11 @@ def main() -> None:
         watching = Process(target=observer.run)
         watching.start()
         words = [
-            "run", "--driver", "ads", "--robot", robot, "--by-hand", "--enable", "--home-anew", "--home-confirmed",
-            "--home", *(str(x) for x in plc.robot.home_position), "--speed", SPEED, "--priority",
-            "--duration", seconds, "--recording", folder / "run.jsonl", "--json",
-            folder / "run.json", *(f"--set=driver.{x}={SILENCE_S}" for x in (
+            "run", "--driver", "ads", "--robot", robot, "--by-hand", "--enable", "--home-anew",
+            "--home-confirmed", "--home", *(str(x) for x in plc.robot.home_position),
+            "--speed", SPEED, "--priority", "--duration", seconds,
+            "--recording", folder / "run.jsonl", "--json", folder / "run.json",
+            *(f"--set=driver.{x}={SILENCE_S}" for x in (
                 "stale_time", "hang_time", "inner.lost_after")),
         ]  # fmt: skip
         with (folder / "host.txt").open("w") as log:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.files import refusing, replacing
 
 CURVE_FILE, EPISODES_FILE = "curve.csv", "episodes.csv"
 CURVE_COLUMNS = (
@@ -60,10 +61,14 @@ def write_curve(path: Path, rows: Sequence[dict[str, float]]) -> None:
 
 
 def read_curve(path: Path) -> list[dict[str, float]]:
-    """Read what `write_curve` wrote; a column that an older curve lacks is NaN."""
+    """Read what `write_curve` wrote; a column that an older curve lacks is NaN.
+
+    Raises:
+        InvalidFile: It is damaged.
+    """
     rows = []
-    with path.open(newline="", encoding="utf-8") as stream:
-        for read in csv.DictReader(stream):
+    with _reading(path) as table:
+        for read in table:
             texts = dict.fromkeys(LATER_COLUMNS, "nan") | read
             rows.append({name: float(texts[name]) for name in CURVE_COLUMNS})
     return rows
@@ -76,12 +81,23 @@ def write_episodes(path: Path, episodes: Sequence[Episode]) -> None:
 
 
 def read_episodes(path: Path) -> list[Episode]:
-    """Read what `write_episodes` wrote."""
-    with path.open(newline="", encoding="utf-8") as stream:
+    """Read what `write_episodes` wrote.
+
+    Raises:
+        InvalidFile: It is damaged.
+    """
+    with _reading(path) as table:
         return [
-            Episode(int(row["steps"]), float(row["reward"]), int(row["length"]))
-            for row in csv.DictReader(stream)
+            Episode(int(row["steps"]), float(row["reward"]), int(row["length"])) for row in table
         ]
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Iterable[dict[str, str]]]:
+    """Give the rows of a table by column; refuse a damaged one."""
+    with refusing(path, "a table of a training"):
+        with path.open(newline="", encoding="utf-8") as stream:
+            yield csv.DictReader(stream)
 
 
 def _write(path: Path, header: Sequence[str], lines: Iterable[Sequence[str]]) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array, batch
-from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.base.errors import MALFORMED, CarosacError, InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.policy_probe import check_probe, make_probe
 from learned.settings_data import environment_settings
@@ -28,6 +29,9 @@ METADATA_PREFIX = "carosac."  # of the names of our metadata
 ACTIVATION_NAMES = ("relu", "silu")
 ONNX_OPSET = 17
 OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overflowing there
+ACTION_MAX = 1.0 + 1e-6  # of tanh in float32
+SIZE_MAX = 100_000  # numbers in an observation or action
+TRIED_ROWS, TRIED_SCALE = 8, 1e3  # observations on which a network is tried, and their multiples
 ONNX_IR_VERSION = 8  # goes with the opset
 INSTALL_COMMAND = "pip install 'carosac-toolkit[learn]'"
 POLICY_FILE_NAME = "an ONNX file that `carosac train` wrote"
@@ -70,11 +74,13 @@ class PolicyDescription:
         if not isinstance(names, list | tuple) or not all(isinstance(x, str) for x in names):
             raise InvalidField("observation", repr(names), "names of the parts of an observation")
         object.__setattr__(self, "observation", tuple(names))
-        if self.period is not None and not 0.0 < self.period < float("inf"):
-            raise InvalidField("period", f"{self.period} s", "period > 0, or None")
-        if self.steps < 0:
-            raise InvalidField("steps", self.steps, "steps >= 0")
+        for name in ("preset", "action", "commit"):
+            if not isinstance(getattr(self, name), str):
+                raise InvalidField(name, repr(getattr(self, name)), "text")
+        if self.period is not None:
+            check_positive("period", self.period, "s")
         for name in ("seed", "steps"):
+            check_whole(name, getattr(self, name), 0)
             object.__setattr__(self, name, int(getattr(self, name)))
         for name in ("settings", "scores"):
             object.__setattr__(self, name, _plain(name, getattr(self, name)))
@@ -113,7 +119,13 @@ class Policy:
         if not Path(path).is_file():
             raise MissingFile(path)
         session = _session(path)
-        description = _description(path, session.get_modelmeta().custom_metadata_map)
+        try:
+            description = _description(path, session.get_modelmeta().custom_metadata_map)
+            settings = environment_settings(description.settings)
+            check_probe(description.probe, description.robot, settings)
+        except MALFORMED as error:
+            got = f"{path} with damaged metadata: {error}"
+            raise InvalidField("path", got, POLICY_FILE_NAME) from error
         sides = (("observation", session.get_inputs()), ("action", session.get_outputs()))
         for name, ends in sides:
             shapes = {one.name: one.shape for one in ends}
@@ -121,9 +133,9 @@ class Policy:
                 raise InvalidField(
                     "path", f"{path} with {shapes}", f"{POLICY_FILE_NAME}: {name} (batch, d)"
                 )
-        settings = environment_settings(description.settings)
-        check_probe(description.probe, description.robot, settings)
-        return cls(session, description)
+        policy = cls(session, description)
+        policy._try(path)
+        return policy
 
     def act(self, observation: ArrayLike) -> Array:
         """Choose an action for each observation.
@@ -135,7 +147,8 @@ class Policy:
             Actions in [-1, 1] [-], shape (B, action_size).
 
         Raises:
-            InvalidField: A wrong size, or a number that is not finite or too large.
+            InvalidField: A wrong size, or a number that is not finite or too large, in the
+                observation or in the action.
         """
         values = np.asarray(observation)
         if values.ndim != 2 or values.shape[1] != self.observation_size or len(values) == 0:
@@ -146,7 +159,24 @@ class Policy:
             raise InvalidField("observation", f"{np.abs(checked).max():g}", allowed)
         seen = {"observation": values.astype(np.float32)}
         action: Array = self._session.run(["action"], seen)[0].astype(np.float64)
+        usual = action.shape == (len(values), self.action_size)
+        if not usual or not np.abs(action).max() <= ACTION_MAX:
+            got = "NaN" if np.isnan(action).any() else f"up to {np.abs(action).max():g}"
+            raise InvalidField("action", f"{got}, shape {action.shape}", "numbers from -1 to 1")
         return action
+
+    def _try(self, path: str | Path) -> None:
+        """Act on some observations; refuse a network that does not give actions there.
+
+        Raises:
+            InvalidField: A weight is not finite, or the network is damaged otherwise.
+        """
+        drawn = np.random.default_rng(0).standard_normal((TRIED_ROWS, self.observation_size))
+        try:
+            self.act(np.concatenate([np.zeros_like(drawn[:1]), drawn, TRIED_SCALE * drawn]))
+        except (InvalidField, *_onnx_failures()) as error:
+            got = f"{path}, which does not act: {str(error).splitlines()[0]}"
+            raise InvalidField("path", got, POLICY_FILE_NAME) from error
 
 
 def write_policy(
@@ -243,22 +273,28 @@ def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
     return bytes(model.SerializeToString(deterministic=True))
 
 
+def _onnx_failures() -> tuple[type[Exception], ...]:
+    """Return what onnxruntime raises over a network that it cannot read or run."""
+    from onnxruntime.capi import onnxruntime_pybind11_state as failures
+
+    names = ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NoModel",
+             "NotImplemented", "RuntimeException")  # fmt: skip
+    return tuple(getattr(failures, name) for name in names)
+
+
 def _session(path: str | Path) -> Any:
     """Open a file in onnxruntime, on one core."""
     try:
         import onnxruntime
-        from onnxruntime.capi import onnxruntime_pybind11_state as failures
     except ImportError as error:
         raise CarosacError(f"a policy needs onnxruntime: {INSTALL_COMMAND}") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what matters is raised
-    names = ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NoModel",
-             "NotImplemented", "RuntimeException")  # fmt: skip
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except tuple(getattr(failures, name) for name in names) as error:
+    except _onnx_failures() as error:
         raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
 
 
@@ -275,7 +311,7 @@ def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescrip
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
         record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidField("path", f"{path} with damaged metadata", POLICY_FILE_NAME) from error
     return PolicyDescription(**record | {"robot": _robot(path, record["robot"])})
 
@@ -293,7 +329,7 @@ def _robot(path: str | Path, record: Any) -> Robot:
 
 def _is_batch(shape: Sequence[Any]) -> bool:
     """Return whether a shape is (batch, d) with a known d."""
-    return len(shape) == 2 and isinstance(shape[1], int)
+    return len(shape) == 2 and isinstance(shape[1], int) and 0 < shape[1] <= SIZE_MAX
 
 
 def _plain(name: str, value: Any) -> Any:

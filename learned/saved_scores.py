@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from carosac_toolkit.base.npz import read_npz, write_npz
 from carosac_toolkit.robot.robot import Robot
 from learned.scores import PolicyScores
@@ -51,12 +53,15 @@ class SavedScores:
             MissingFile: There is nothing.
             InvalidField: ``carosac evaluate`` did not write it.
         """
-        rest, arrays = read_npz(folder / SCORES_FILE, SCORES_KEY, "carosac evaluate")
-        scores: dict[str, PolicyScores] = {}
-        for number, name in enumerate(rest["names"]):
-            known: dict[str, Any] = {
-                x.name: arrays.get(f"{number}.{x.name}") for x in fields(PolicyScores)
-            }
-            scores[name] = PolicyScores(**known)
         robot = Robot.from_npz(folder / ROBOT_FILE)
-        return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)
+
+        def build(rest: Any, arrays: dict[str, NDArray[Any]]) -> SavedScores:
+            scores = {
+                name: PolicyScores(
+                    **{x.name: arrays.get(f"{number}.{x.name}") for x in fields(PolicyScores)}  # type: ignore[arg-type]
+                )
+                for number, name in enumerate(rest["names"])
+            }
+            return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)
+
+        return read_npz(folder / SCORES_FILE, SCORES_KEY, "carosac evaluate", build)

@@ -38,5 +38,9 @@ class Snapshot:
             MissingFile: There is no such file.
             InvalidField: The file was not written by `to_npz`.
         """
-        header, arrays = read_npz(path, "__header__", "Snapshot.to_npz")
-        return cls(cables=header["cables"], segments=header["segments"], arrays=arrays)
+        return read_npz(
+            path, "__header__", "Snapshot.to_npz",
+            lambda header, arrays: cls(
+                cables=str(header["cables"]), segments=int(header["segments"]), arrays=arrays
+            ),
+        )  # fmt: skip

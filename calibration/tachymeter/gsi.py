@@ -9,6 +9,7 @@ geocompy drops the sign of angles and passes over words that it cannot read; bot
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ _LENGTH_WORDS = {
     31: "slope distance", 58: "prism constant", 81: "easting", 82: "northing", 83: "height",
     84: "station easting", 85: "station northing", 86: "station height", 87: "target height",
 }  # fmt: skip
+_WORD = re.compile(r"[0-9]{2}[0-9.].{3}[+-]")
 _UNIT_NAMES = {
     GsiUnit.MILLI: "m", GsiUnit.DECIMILLI: "m", GsiUnit.CENTIMILLI: "m",
     GsiUnit.MILLIFEET: "ft", GsiUnit.DECIMILLIFEET: "ft",
@@ -137,7 +139,7 @@ def _split(line: str) -> list[str]:
     text += " "
     words = [text[i : i + size] for i in range(0, len(text), size)]
     for word in words:
-        if word[-1] != " " or not word[:2].isdigit() or word[6] not in "+-":
+        if _WORD.match(word) is None or word[-1] != " ":
             raise LineFault(f"'{word.strip()}' is no {kind} word; is the line damaged?")
     return words
 
@@ -198,7 +200,7 @@ def _check_unit(reader: _GsiReader, number: int, word: str, index: int) -> None:
         raise LineFault(
             f"word {index} ({_name(index)}) has unit digit '{digit}'; allowed: {allowed}"
         )
-    if digit == "4" and (int(word[-6:-4]) > 59 or int(word[-4:-2]) > 59):
+    if digit == "4" and not (word[-6] in "012345" and word[-4] in "012345"):
         raise LineFault(
             f"word {index} ({_name(index)}) '{word.strip()}': minutes or seconds over 59"
         )

@@ -6,6 +6,11 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import Any
 
+# What Python raises over data of another form than a reader expects.
+MALFORMED = (
+    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError,
+)  # fmt: skip
+
 
 class CarosacError(Exception):
     """Base of all errors raised on purpose; the command line prints it and exits with status 2."""

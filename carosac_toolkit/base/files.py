@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -11,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import MALFORMED, CarosacError, InvalidField, InvalidFile
 
 
 def check_writable(option: str, path: Path | None, suffixes: Sequence[str] = ()) -> None:
@@ -64,6 +65,24 @@ def remove_empty(folders: Sequence[Path]) -> None:
     for each in folders:
         with suppress(OSError):
             each.rmdir()
+
+
+@contextmanager
+def refusing(path: str | Path, what: str) -> Iterator[None]:
+    """Refuse the file that is read in the block, if its data have another form than is expected.
+
+    Args:
+        path: The file.
+        what: What it should be: ``a file written by carosac train``.
+
+    Raises:
+        InvalidFile: Something is wrong with it.
+    """
+    try:
+        yield
+    except (*MALFORMED, csv.Error) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InvalidFile(path, [f"damaged, or not {what} ({reason})"]) from error
 
 
 @contextmanager

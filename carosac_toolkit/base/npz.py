@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import io
 import json
+import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
+
+T = TypeVar("T")
+# What numpy and zipfile raise over a damaged archive; RuntimeError: it is encrypted.
+DAMAGED_ARCHIVE = (
+    OSError,
+    EOFError,
+    BadZipFile,
+    SyntaxError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+)
 
 
 def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> None:
@@ -41,13 +55,16 @@ def npz_bytes(key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> bytes:
     return stream.getvalue()
 
 
-def read_npz(path: str | Path, key: str, writer: str) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Read what `write_npz` wrote: the rest, and the arrays by name.
+def read_npz(
+    path: str | Path, key: str, writer: str, build: Callable[[Any, dict[str, NDArray[Any]]], T]
+) -> T:
+    """Read what `write_npz` wrote, and build what it stands for.
 
     Args:
         path: The file.
         key: As it was written.
         writer: Who writes such files, for the error message.
+        build: Builds the result from the rest and the arrays by name.
 
     Raises:
         MissingFile: There is no such file.
@@ -58,6 +75,6 @@ def read_npz(path: str | Path, key: str, writer: str) -> tuple[Any, dict[str, ND
     try:
         with np.load(path, allow_pickle=False) as data:
             rest = json.loads(str(data[key]))
-            return rest, {k: data[k] for k in data.files if k != key}
-    except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+            return build(rest, {k: data[k] for k in data.files if k != key})
+    except (*MALFORMED, *DAMAGED_ARCHIVE) as error:
         raise InvalidField("path", path, f"a file written by {writer}") from error

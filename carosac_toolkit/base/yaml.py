@@ -14,10 +14,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ruamel.yaml import YAML, MappingNode, Node, ScalarNode, SequenceNode
-from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
+from ruamel.yaml.composer import MaxDepthExceededError
+from ruamel.yaml.error import (
+    MarkedYAMLError,
+    ReusedAnchorWarning,
+    YAMLError,
+)
 
 FieldPath = tuple[str | int, ...]
 _MAX_VALUES = 100_000
+_CHARACTERS_MAX = 1_000_000  # of a text; the reader takes 15 us for each
+_DEPTH_MAX = 64  # of mappings and lists inside each other; robot files have 5
 _UNINDENTED = ("expected key", "block end", "'-' indicator", "document start")
 
 
@@ -48,6 +55,9 @@ def read_yaml(text: str) -> Document:
     Tabs after the first word of a line count as spaces.
     """
     document = Document()
+    if len(text) > _CHARACTERS_MAX:
+        fault = f"not usable: {len(text)} characters; allowed: {_CHARACTERS_MAX}"
+        return Document(faults=[(1, fault)])
     try:
         node = _compose(re.sub(r"(?<=\S)[ \t]+", lambda gap: " " * len(gap[0]), text))
         if node is None:
@@ -55,6 +65,10 @@ def read_yaml(text: str) -> Document:
         else:
             document.lines[()] = node.start_mark.line + 1
             document.data = _build(node, (), document)
+    except MaxDepthExceededError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        fault = f"not usable: nested more than {_DEPTH_MAX} levels deep"
+        document.faults.append((line, fault))
     except MarkedYAMLError as error:
         document.faults.append(_syntax_fault(error, text.splitlines()))
     except ReusedAnchorWarning as error:
@@ -104,7 +118,9 @@ def _compose(text: str) -> Node | None:
     """Return the tree of a document; an anchor that is given twice is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", ReusedAnchorWarning)
-        node: Node | None = YAML(typ="safe", pure=True).compose(text)
+        yaml = YAML(typ="safe", pure=True)
+        yaml.max_depth = _DEPTH_MAX
+        node: Node | None = yaml.compose(text)
         return node
 
 

@@ -60,12 +60,12 @@ def period_of_rate(rate: float) -> float:
 
 
 def check_reach(option: str, address: str, allowed: bool, consequence: str) -> None:
-    """Refuse an address that other machines can reach, unless --allow-network confirms it.
+    """Refuse an address that other machines can reach, unless --allow-others confirms it.
 
     Args:
         option: Option that names the address.
         address: Address to listen on.
-        allowed: Whether --allow-network is given.
+        allowed: Whether --allow-others is given.
         consequence: What other machines can then do: ``move ...``.
 
     Raises:
@@ -76,7 +76,7 @@ def check_reach(option: str, address: str, allowed: bool, consequence: str) -> N
     words = f"whoever can reach this machine over the network can {consequence}"
     if not allowed:
         confirm = (
-            f"an address of this machine only, such as 127.0.0.1; or add --allow-network: {words}"
+            f"an address of this machine only, such as 127.0.0.1; or add --allow-others: {words}"
         )
         raise InvalidField(option, repr(address), confirm)
     print(f"carosac: warning: {words}", file=sys.stderr)

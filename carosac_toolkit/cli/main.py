@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.terminal import plain_output, printable
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.plugins import entry_points_of, load
 
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except CarosacError as error:
-        print(f"carosac: {error}", file=sys.stderr)
+        print(printable(f"carosac: {error}"), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("carosac: interrupted", file=sys.stderr)
@@ -110,7 +111,8 @@ def _run(name: str, words: list[str]) -> int:
     check_outputs(options)
     json_path: Path | None = getattr(options, "json", None)
     try:
-        answer = module.run(options)
+        with plain_output():
+            answer = module.run(options)
     except SystemExit as error:
         if error.code:
             raise

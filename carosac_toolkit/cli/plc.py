@@ -1,10 +1,10 @@
 """Emulate the PLC of a robot in real time: ADS over TCP, winch drives, a simulated robot.
 
 Clients reach it as they reach a TwinCAT PLC: the driver `ads`, `carosac run`, any ADS client. It
-listens on this machine only, unless --ip is given. With --control each line of the standard input
-does something to the machine: `trip 2`, `trip 2 off`, `jump 1 0.05`, `freeze-counter on`,
-`freeze-data on`, `network 0.02 0.01`, `estop on`, `place 0.4 -1.8 2.2`, `clear`, `state`, `quit`;
-the end of the input ends it.
+listens on this machine only, and serves nobody but this user and root, unless --allow-others is
+given. With --control each line of the standard input does something to the machine: `trip 2`,
+`trip 2 off`, `jump 1 0.05`, `freeze-counter on`, `freeze-data on`, `network 0.02 0.01`,
+`estop on`, `place 0.4 -1.8 2.2`, `clear`, `state`, `quit`; the end of the input ends it.
 
 With --print-machine it prints what a real PLC program declares for this robot, and ends.
 
@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.cli.common import CommandResult, CommonOptions
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, check_reach
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.plc.blocks import Injection
@@ -46,7 +46,11 @@ class Options(CommonOptions):
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")] = "carosac"
     """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     ip: str | None = None
-    """Address to listen on; by default one of this machine only."""
+    """Address to listen on; by default one of this machine only. One that other machines can reach
+    needs --allow-others."""
+    allow_others: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Confirm that other machines may reach --ip, and other users of this one too: they can move
+    the simulated robot and inject faults."""
     condition: str = "none"
     """Condition that perturbs the simulated robot, as in a study."""
     plant: str = "simulator"
@@ -84,6 +88,9 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Run the PLC."""
+    if options.ip is not None:
+        consequence = "move the simulated robot and inject faults"
+        check_reach("--ip", options.ip, options.allow_others, consequence)
     if options.priority:
         take_priority("carosac plc")
     nominal = load_robot(options.robot)
@@ -102,7 +109,10 @@ def run(options: Options) -> CommandResult:
         encoder_check=options.encoder_check, start_position=options.start,
         wind_force=condition.wind_force,
     )  # fmt: skip
-    emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
+    emulator = Emulator(
+        plant, nominal, settings,
+        seed=options.seed, ip=options.ip, allow_others=options.allow_others,
+    )  # fmt: skip
     with_signals(emulator)
     if options.control:
         threading.Thread(target=listen, args=(emulator,), daemon=True).start()

@@ -105,8 +105,8 @@ class Options(CommonOptions):
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
     host: str = LOOPBACK_ADDRESS
-    """Address to serve at; one that other machines can reach needs --allow-network."""
-    allow_network: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Address to serve at; one that other machines can reach needs --allow-others."""
+    allow_others: tyro.conf.FlagCreatePairsOff[bool] = False
     """Confirm that other machines may reach --host."""
     port: int = DEFAULT_PORT
     """Port to serve at; if it is taken, the next free one."""
@@ -146,7 +146,7 @@ def _check(options: Options) -> None:
         allowed = "no --live; record with carosac run, then carosac view RECORDING --html FILE"
         raise InvalidField("--html", f"'{options.html}'", allowed)
     check_reach(
-        "--host", options.host, options.allow_network,
+        "--host", options.host, options.allow_others,
         "see the robot and drag its target, if they know the address of the page or overhear it",
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import (
+    MALFORMED,
     CarosacError,
     InvalidField,
     InvalidFile,
@@ -173,7 +174,7 @@ def _our_errors(paths: Sequence[Path]) -> Iterator[None]:
 
     damaged = (
         AnyReaderError, Error1, Error2, SerdeError, TypesysError, apsw.Error, struct.error,
-        OSError, EOFError, ValueError, KeyError, IndexError, RuntimeError, AssertionError,
+        OSError, EOFError, RuntimeError, AssertionError, MemoryError, *MALFORMED,
     )  # fmt: skip
     try:
         yield

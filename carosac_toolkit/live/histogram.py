@@ -35,4 +35,4 @@ class Histogram:
         if counts[-1] == 0:
             return None
         place = int(np.searchsorted(counts, share * counts[-1]))
-        return min(float(LOW_S * WIDTH ** (place - 0.5)), self.largest)
+        return float(min(LOW_S * WIDTH ** (place - 0.5), self.largest))

@@ -13,6 +13,8 @@ import sys
 import threading
 from collections.abc import Iterator
 
+from carosac_toolkit.base.terminal import plain_stream
+
 ADS_LINE = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} (Verbose|Info|Warning|Error): ")
 
 
@@ -27,7 +29,8 @@ def without_ads_lines() -> Iterator[None]:
     before, out, into = sys.stderr, *os.pipe()
     with contextlib.ExitStack() as stack:
         if _is_own(before):
-            sys.stderr = stack.enter_context(open(os.dup(shown), "w", buffering=1))
+            raw = stack.enter_context(open(os.dup(shown), "w", buffering=1))
+            sys.stderr = plain_stream(raw)
         reader = threading.Thread(target=_filter, args=(out, shown), name="stderr", daemon=True)
         os.dup2(into, 2)
         os.close(into)

@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TextIO
 
-CLEAR_LINE = "\r\x1b[K"
+from carosac_toolkit.base.terminal import CLEAR_LINE, TerminalText, printable
 
 
 def say(text: str, stream: TextIO | None = None) -> None:
@@ -15,7 +15,8 @@ def say(text: str, stream: TextIO | None = None) -> None:
     A stream whose terminal or reader is gone takes nothing more; all of it is in the recording.
     """
     out = stream or sys.stdout
-    put(out, f"{CLEAR_LINE if out is sys.stderr and out.isatty() else ''}{text}\n")
+    begin = CLEAR_LINE if out is sys.stderr and out.isatty() else ""
+    put(out, TerminalText(f"{begin}{printable(text)}\n"))
 
 
 def put(stream: TextIO, text: str) -> None:

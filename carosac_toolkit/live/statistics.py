@@ -10,6 +10,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.terminal import TerminalText, printable
 from carosac_toolkit.live.histogram import Histogram
 from carosac_toolkit.live.messages import put, say
 from carosac_toolkit.loop.loop import Step
@@ -141,4 +142,4 @@ class Statistics:
             f"limited {sum(self.limits.values())}  late {self._guard.overruns}"
         )
         start, end = ("\r", "\x1b[K") if self._stream.isatty() else ("", "\n")
-        put(self._stream, start + text + end)
+        put(self._stream, TerminalText(start + printable(text) + end))

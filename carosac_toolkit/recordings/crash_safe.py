@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidField, InvalidFile
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.values import Belief, Command, Imu, Measurement, Stamped
@@ -221,7 +221,7 @@ def read_run(path: str | Path) -> RecordedRun:
         raise InvalidFile(file, [f"line 1: not a recorded run; allowed: schema {RUN_SCHEMA!r}"])
     try:
         return _run(head, _by_kind(rows[1:]), cut)
-    except (KeyError, TypeError, ValueError, IndexError, InvalidField) as error:
+    except (*MALFORMED, InvalidField) as error:
         raise InvalidFile(file, [f"rows that do not belong to a run: {error}"]) from error
 
 
@@ -242,7 +242,7 @@ def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
     for number, line in enumerate(lines[:-1], start=1):
         try:
             rows.append(json.loads(line))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InvalidFile(file, [f"line {number}: not a JSON row: {error}"]) from error
     return rows, cut
 

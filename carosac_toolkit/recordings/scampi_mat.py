@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from carosac_toolkit.recordings.columns import (
     exit_point_columns,
 )
 from carosac_toolkit.recordings.conversion import RECORDING_SCHEMA, from_table
+from carosac_toolkit.recordings.mat_process import read_mat
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
@@ -40,7 +40,7 @@ def read_scampi_mat(path: Path) -> Recording:
     Raises:
         InvalidFile: With all faults that were found.
     """
-    variables = _load(path)
+    variables = {name: np.asarray(x, dtype=np.float64) for name, x in read_mat(path).items()}
     faults = []
     for name in (name for name in REQUIRED_VARIABLES if name not in variables):
         hint = did_you_mean(name, list(variables)) or f"; there are {sorted(variables)}"
@@ -80,22 +80,6 @@ def _parts(variables: Mapping[str, Array], path: Path) -> list[Part]:
         raise InvalidFile(path, [f"pulleys {[k for _, k in pulleys]}; allowed: 1 to {n}"])
     points = exit_point_columns(n)
     return parts + [(variables[k], points[3 * i - 3 : 3 * i], k) for i, k in pulleys]
-
-
-def _load(path: Path) -> Mapping[str, Array]:
-    """Return the numeric variables of a MATLAB file."""
-    from scipy.io import loadmat
-
-    try:
-        contents: dict[str, Any] = loadmat(path)
-    except Exception as error:  # the reader raises whatever a garbled byte leads it to
-        fault = f"this is no whole MATLAB file of version 4 to 7.2: {error}"
-        raise InvalidFile(path, [fault]) from error
-    return {
-        name: np.asarray(value, dtype=np.float64)
-        for name, value in contents.items()
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.ndim == 2
-    }
 
 
 def _time(stamps: Array) -> Array:

@@ -8,12 +8,14 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.terminal import has_control_characters
 from carosac_toolkit.base.units import InvalidQuantity, describe, parse_quantity
 from carosac_toolkit.robot.hardware import NET_ID_PATTERN, PORT_MAX
 
 NET_ID_TEXT = "six numbers from 0 to 255 separated by dots, such as 192.168.0.10.1.1"
 PORT_TEXT = f"a whole number, 1 to {PORT_MAX}"
 SIGN_TEXT = "1 or -1"
+NAME_TEXT = "a name on one line, without control characters"
 
 Reader = Callable[[object], object]
 
@@ -121,6 +123,14 @@ def read_text(value: object) -> str:
     if isinstance(value, bool | list | dict) or value is None or not str(value).strip():
         raise InvalidQuantity(value, "a non-empty text")
     return f"{value:g}" if isinstance(value, float) else str(value).strip()
+
+
+def read_name(value: object) -> str:
+    """Read a text that may be printed in the middle of a line."""
+    name = read_text(value)
+    if has_control_characters(name):
+        raise InvalidQuantity(name, NAME_TEXT)
+    return name
 
 
 def read_port(value: object) -> int:

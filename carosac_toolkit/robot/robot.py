@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array, frozen_array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
@@ -198,12 +199,16 @@ class Robot:
             MissingFile: There is no such file.
             InvalidField: The file was not written by `to_npz`.
         """
-        rest, arrays = read_npz(path, "__fields__", "Robot.to_npz")
-        record = {"hardware": None} | rest | arrays
-        unknown = set(record) ^ {field.name for field in fields(cls)}
-        if unknown:
-            raise InvalidField("path", path, f"the fields of Robot; differing: {sorted(unknown)}")
-        return cls(**record | {"hardware": Hardware.from_record(record["hardware"])})
+
+        def build(rest: Any, arrays: dict[str, NDArray[Any]]) -> Robot:
+            record = {"hardware": None} | rest | arrays
+            unknown = set(record) ^ {field.name for field in fields(cls)}
+            if unknown:
+                allowed = f"the fields of Robot; differing: {sorted(unknown)}"
+                raise InvalidField("path", path, allowed)
+            return cls(**record | {"hardware": Hardware.from_record(record["hardware"])})
+
+        return read_npz(path, "__fields__", "Robot.to_npz", build)
 
     def _check_names(self) -> None:
         """Refuse cable names that are missing, doubled or no list of texts."""

@@ -51,6 +51,7 @@ def _direction(meaning: str, count: int) -> Reads:
 
 
 Text = Annotated[str, Reads(fields.read_text, "a text")]
+Name = Annotated[str, Reads(fields.read_name, fields.NAME_TEXT)]
 Coordinate = Annotated[float, _reads("m")]
 Distance = Annotated[float, _reads("m", ">= 0")]
 Extent = Annotated[float, _reads("m", "> 0")]
@@ -111,7 +112,7 @@ class Frame(_Section):
 class Payload(_Section):
     """A body fixed to the platform."""
 
-    name: Text
+    name: Name
     mass: Mass
     center_of_mass: Vector
     inertia: Inertia
@@ -213,11 +214,11 @@ class TensionLimits(_Section):
 class ChainInput(_Section):
     """One cable: which parts it joins, by name."""
 
-    name: Text
-    exit_point: Text
-    anchor_point: Text
-    cable: Text
-    winch: Text
+    name: Name
+    exit_point: Name
+    anchor_point: Name
+    cable: Name
+    winch: Name
     run_length: Distance | None = None
     tension_limits: TensionLimits | None = None
 
@@ -352,7 +353,7 @@ class RobotFile(_Section):
     """The whole file."""
 
     schema_name: Literal["carosac-robot/1"] = Field(alias="schema")
-    name: Text
+    name: Name
     description: Text
     licence: Text
     gravity: Annotated[float, _reads("m/s^2", "> 0")]

@@ -55,7 +55,11 @@ def read_samples(folder: Path) -> ValidationResult:
         MissingFile: There is no such file.
         InvalidField: ``carosac validate`` did not write it.
     """
-    rest, arrays = read_npz(folder / SAMPLES_FILE, VALIDATION_KEY, "carosac validate")
+    return read_npz(folder / SAMPLES_FILE, VALIDATION_KEY, "carosac validate", _result)
+
+
+def _result(rest: dict[str, Any], arrays: dict[str, Any]) -> ValidationResult:
+    """Build the result from the content of a file."""
     measured = Pose(position=arrays["position"], rotation=arrays["rotation"])
     fields = {
         k.removeprefix(ROBOT_KEY_PREFIX): v

@@ -31,7 +31,10 @@ def family(host):
 
 
 @linux
-def test_a_tcp_peer_is_known_by_both_ends_of_its_connection(server):
+@pytest.mark.parametrize("netlink", [True, False])
+def test_a_tcp_peer_is_known_by_both_ends_of_its_connection(server, netlink, monkeypatch):
+    if not netlink:  # as in some containers
+        monkeypatch.setattr("carosac_toolkit.base.local_peer._ask_kernel", lambda *ends: None)
     with socket.socket(server.family) as client:
         client.connect(server.getsockname())
         accepted, peer = server.accept()

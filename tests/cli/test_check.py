@@ -26,6 +26,19 @@ def test_check_describes_every_bundled_robot(name, tmp_path, capsys):
     assert all(field in out for field in data["provenance"])
 
 
+def test_escape_sequences_of_a_file_are_shown(tmp_path, capsys):
+    text = robot_text("carosac").replace("name: carosac", 'name: carosac\n"\\e[2Jkey": 1', 1)
+    file = tmp_path / "robot\x1b[2J.yaml"
+    file.write_text(text)
+    assert main(["check", str(file)]) == 2
+    refusal = capsys.readouterr().err
+    assert "\x1b" not in refusal and r"robot\x1b[2J.yaml" in refusal
+    file.write_text(robot_text("carosac"))
+    assert main(["check", str(file), "--picture", str(tmp_path / "a\x1b[2J.png")]) == 0
+    out = capsys.readouterr().out
+    assert "\x1b" not in out and r"a\x1b[2J.png" in out
+
+
 def test_check_draws_a_picture(tmp_path, capsys):
     picture = tmp_path / "robot.png"
     assert main(["check", "carosac", "--picture", str(picture)]) == 0

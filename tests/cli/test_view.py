@@ -72,8 +72,8 @@ def test_what_means_nothing_is_refused_in_one_message(tmp_path, capsys):
     assert "--sag" in refused(capsys, "carosac", "--sag", "0.5")
     assert "--port" in refused(capsys, "carosac", "--port", "0")
     exposed = refused(capsys, "carosac", "--host", "0.0.0.0", "--duration", "1")
-    assert "--host: got '0.0.0.0'" in exposed and "add --allow-network: whoever" in exposed
-    elsewhere = ("--host", "203.0.113.7", "--allow-network")
+    assert "--host: got '0.0.0.0'" in exposed and "add --allow-others: whoever" in exposed
+    elsewhere = ("--host", "203.0.113.7", "--allow-others")
     assert "address of this machine" in refused(capsys, "carosac", *elsewhere, "--duration", "1")
     assert "simulated driver" in refused(capsys, "carosac", "--live", "--driver", "ads")
     file = tmp_path / "live.html"

@@ -202,11 +202,45 @@ def test_a_cut_file_is_refused(file):
         ({"robot": "[1]"}, "robot differs in"),
         ({"period": "-0.1"}, "period > 0"),
         ({"observation": "4"}, "names of the parts"),
+        ({"period": "[1]"}, r"period: got \[1\]"),
+        ({"steps": "[1]"}, r"steps: got \[1\]; allowed: a whole number"),
+        ({"seed": "[1]"}, r"seed: got \[1\]; allowed: a whole number"),
+        ({"commit": "[1]"}, r"commit: got \[1\]; allowed: text"),
+        ({"settings": '{"environment": {"path": [1]}}'}, "damaged metadata"),
+        ({"settings": '{"environment": {"path": {"speed": "x"}}}'}, "damaged metadata"),
+        ({"scores": "[" * 5000}, "damaged metadata"),
     ],
 )
 def test_wrong_metadata_is_refused(file, changes, message):
     with pytest.raises(InvalidField, match=message):
         Policy.load(with_metadata(file, **changes))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("layer", [0, 2])
+def test_a_network_that_does_not_act_is_refused(file, value, layer):
+    model = onnx.load(file)
+    (tensor,) = (x for x in model.graph.initializer if x.name == f"weight_{layer}")
+    weights = np.array(onnx.numpy_helper.to_array(tensor))
+    weights[0] = value * np.sign(weights[0])
+    tensor.CopyFrom(onnx.numpy_helper.from_array(weights, tensor.name))
+    file.write_bytes(model.SerializeToString())
+    with pytest.raises(InvalidField, match="which does not act: action: got NaN"):
+        Policy.load(file)
+
+
+def test_an_action_that_is_none_at_run_time_is_named(file):
+    policy = Policy.load(file)
+    session = policy._session
+    for value in (np.nan, np.inf, 1.1):
+
+        class Broken:
+            def run(self, names, seen, value=value):
+                return [np.full_like(session.run(names, seen)[0], value)]
+
+        policy._session = Broken()
+        with pytest.raises(InvalidField, match=r"action: got .*; allowed: numbers from -1 to 1"):
+            policy.act(np.zeros((1, 10)))
 
 
 def test_a_file_with_another_input_is_refused(file):
@@ -262,7 +296,7 @@ def test_layers_that_do_not_fit_are_refused(tmp_path):
         ({"observation": "lengths"}, "observation: .*names of the parts"),
         ({"period": 0.0}, "period > 0"),
         ({"period": float("nan")}, "period > 0"),
-        ({"steps": -1}, "steps >= 0"),
+        ({"steps": -1}, "steps: got -1; allowed: a whole number from 0"),
         ({"settings": {"robot": simple_robot()}}, "settings: .*JSON cannot hold"),
         ({"settings": [1]}, "settings: .*a mapping"),
         ({"scores": {"median_error_m": float("nan")}}, "scores: .*all numbers finite"),

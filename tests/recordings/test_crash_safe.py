@@ -159,6 +159,26 @@ def test_a_broken_row_in_between_is_a_fault_of_the_file(tmp_path):
         load_recording(path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"time":0.02', '"time":1' + "0" * 399),
+        ('"time":0.02', '"time":' + "1" * 5000),
+        ('"time":0.02', '"time":' + "[" * 5000),
+        ('"row":"measured"', '"row":["measured"]'),
+        ('"row":"measured"', '"kind":1'),
+        ('"metadata":{', '"metadata":[1],"more":{'),
+    ],
+)
+def test_rows_of_another_form_are_a_fault_of_the_file(tmp_path, old, new):
+    path = recorded(tmp_path / "run.jsonl")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InvalidFile, match=r"not a JSON row|do not belong to a run"):
+        load_recording(path)
+
+
 def test_another_file_is_no_run(tmp_path):
     (tmp_path / "other.jsonl").write_text('{"a": 1}\n')
     with pytest.raises(InvalidFile, match="line 1: not a recorded run"):

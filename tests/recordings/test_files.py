@@ -319,6 +319,26 @@ def test_faults_of_the_scampi_layout(tmp_path, changes, message):
         load_recording(tmp_path / "run.mat")
 
 
+@pytest.mark.parametrize(("place", "value"), [(145, 255), (192, 0), (312, 0)])
+def test_a_mat_file_that_ends_the_process_that_reads_it_is_refused(tmp_path, place, value):
+    """One byte of a few hundred, over which scipy crashes."""
+    count, path = 5, tmp_path / "run.mat"
+    variables = {
+        "time_stamps": np.arange(float(count))[:, None],
+        "measured_cable_lengths": np.ones((count, 2)),
+        "ef_poses": np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)),
+        "s": {"a": 1},
+    }
+    savemat(path, variables)
+    content = bytearray(path.read_bytes())
+    content[place] = value
+    path.write_bytes(content)
+    with pytest.raises(
+        InvalidFile, match=r"no whole MATLAB file.*: it ends the process that reads"
+    ):
+        load_recording(path)
+
+
 # The real recording
 
 

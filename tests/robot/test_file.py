@@ -151,6 +151,13 @@ def test_each_fault_says_what_is_allowed(old, new, message):
     assert any(message in fault for fault in faults(changed(old, new))), faults(changed(old, new))
 
 
+@pytest.mark.parametrize("name", [r"a\e]0;owned\ab", r"a\nwarning: fine", r"gpj\u202eexe"])
+def test_a_name_cannot_hold_what_a_terminal_obeys(name):
+    (fault,) = faults(changed("\nname: carosac", f'\nname: "{name}"'))
+    assert "name: got" in fault and "without control characters" in fault
+    assert fault.isprintable()
+
+
 def test_a_key_at_the_wrong_depth_is_asked_about_its_indentation():
     text = changed("  inertia: [0.6, 0.6, 0.8]\n", "").replace(
         "cable_types:", "inertia: [0.6, 0.6, 0.8]\ncable_types:", 1

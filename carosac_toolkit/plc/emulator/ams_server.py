@@ -10,10 +10,12 @@ import contextlib
 import random
 import socket
 import struct
+import sys
 import threading
 import time
 
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.local_peer import Address, is_another_user, is_loopback, socket_owner
 from carosac_toolkit.plc.emulator.symbols import WRONG_SIZE, Refused, Symbols
 from carosac_toolkit.robot.hardware import ADS_TCP_PORT
 
@@ -31,21 +33,32 @@ class AmsServer:
     """A server of ADS requests, with one thread for each connection.
 
     Attributes:
+        ip: Address on which it listens.
+        allow_others: Whether other users of this machine and other machines are served.
         delay: Delay of every answer, as in a slow network [s].
         jitter: Largest further delay, drawn at random [s].
         requests: Number of requests answered.
+        refused: Number of connections of other users that were closed at once.
     """
 
-    def __init__(self, symbols: Symbols, ip: str) -> None:
+    def __init__(self, symbols: Symbols, ip: str, *, allow_others: bool = False) -> None:
         """Listen on the TCP port of ADS; requests wait until `start`.
+
+        Args:
+            symbols: Symbols to serve.
+            ip: Address to listen on.
+            allow_others: Whether to serve other users of this machine and other machines too.
 
         Raises:
             CarosacError: The address is not of this machine, or in use.
         """
         self.symbols = symbols
+        self.ip = ip
         self.delay = 0.0
         self.jitter = 0.0
         self.requests = 0
+        self.refused = 0
+        self.allow_others = allow_others
         self._running = False
         self._open: set[socket.socket] = set()
         self._threads: list[threading.Thread] = []
@@ -85,9 +98,12 @@ class AmsServer:
     def _accept(self) -> None:
         while self._running:
             try:
-                connection, _ = self._socket.accept()
+                connection, peer = self._socket.accept()
             except OSError:
                 return
+            if not self.allow_others and not _is_own(connection, peer):
+                self._refuse(connection, peer)
+                continue
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
                 self._open.add(connection)
@@ -96,6 +112,17 @@ class AmsServer:
             )
             self._threads = [t for t in self._threads if t.is_alive()] + [thread]
             thread.start()
+
+    def _refuse(self, connection: socket.socket, peer: Address) -> None:
+        """Close a connection; name another user the first time."""
+        owner = socket_owner("tcp", peer, connection.getsockname())
+        connection.close()
+        if owner is None:  # closed by now, as ADS clients do with a first one to probe
+            return
+        self.refused += 1
+        if self.refused == 1:
+            text = f"refused a connection of the user with uid {owner}"
+            print(f"carosac plc: {text}; --allow-others admits others", file=sys.stderr)
 
     def _serve(self, connection: socket.socket) -> None:
         """Answer one connection until it ends; close it at data that are no ADS."""
@@ -155,6 +182,11 @@ class AmsServer:
             name = body[16 : 16 + size].split(b"\0")[0].decode("latin-1")
             return _sized(struct.pack("<I", self.symbols.handle(name)))
         raise Refused(_WRONG_GROUP)
+
+
+def _is_own(connection: socket.socket, peer: Address) -> bool:
+    """Return whether a peer is a process of this user, or of root, on this machine."""
+    return is_loopback(peer[0]) and not is_another_user("tcp", peer, connection.getsockname())
 
 
 def _sized(data: bytes) -> bytes:

@@ -45,7 +45,7 @@ class Emulator:
 
     def __init__(
         self, plant: Robot, nominal: Robot, settings: EmulatorSettings, *, seed: int = 0,
-        ip: str | None = None,
+        ip: str | None = None, allow_others: bool = False,
     ) -> None:  # fmt: skip
         """Listen, and set the robot down.
 
@@ -56,6 +56,8 @@ class Emulator:
             seed: Seed of everything random.
             ip: Address on which to listen; None: one of this machine only, that of the robot file
                 if it is one.
+            allow_others: Whether other users of this machine, and other machines where `ip` lets
+                them, may move the robot and inject faults as well.
 
         Raises:
             CarosacError: The address is not of this machine, or in use.
@@ -106,7 +108,7 @@ class Emulator:
         for _ in range(WARM_UP_CYCLES):
             self.step()
         self.ip = ip or (ads.ip if ads.ip.startswith("127.") else LOOPBACK_ADDRESS)
-        self.server = AmsServer(self.symbols, self.ip)
+        self.server = AmsServer(self.symbols, self.ip, allow_others=allow_others)
         self.server.start()
 
     def run(self, duration: float | None = None) -> None:

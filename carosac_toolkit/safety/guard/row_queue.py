@@ -45,7 +45,8 @@ class RowQueue:
         self._describe = describe
         self._rows: deque[Row] = deque()
         lock = threading.RLock()
-        self._wake, self._done = threading.Condition(lock), threading.Condition(lock)
+        self._wake = threading.Condition(lock)
+        self._done = threading.Condition(lock)  # rows finished
         self._put = self._finished = 0
         self.waited = 0.0
         self._thread: threading.Thread | None = None

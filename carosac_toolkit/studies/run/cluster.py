@@ -76,7 +76,8 @@ def local_client(workers: int) -> Iterator[Any]:
             silence_logs=logging.CRITICAL,
         )
         with cluster, Client(cluster, set_as_default=False) as client:
-            cluster.scheduler.http_server.stop()  # dask starts it in any case
+            scheduler: Any = cluster.scheduler
+            scheduler.http_server.stop()  # dask starts it in any case
             yield client
 
 

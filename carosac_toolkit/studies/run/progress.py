@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TextIO
 
+from carosac_toolkit.base.terminal import CLEAR_LINE, TerminalText, printable
 from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 TERMINAL_INTERVAL_S = 0.5  # [s] between two updates of the line on a terminal
@@ -45,7 +46,7 @@ class Progress:
         self._share = share
         self._share_before = share() if share else 0.0
         if self._before and not quiet:
-            self._write(f"study: {self._before} of {total} cases are there already\n")
+            self._write(f"study: {self._before} of {total} cases are there already", "\n")
 
     @property
     def finished(self) -> int:
@@ -68,7 +69,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Write a separate line."""
         if not self._quiet:
-            self._write(f"\r\x1b[K{text}\n" if self._terminal else f"{text}\n")
+            self._write(text, "\n")
 
     def line(self) -> str:
         """Return the current status line."""
@@ -95,11 +96,12 @@ class Progress:
         """Write the line, over the last one on a terminal."""
         self._told = self.finished
         if not self._quiet:
-            self._write(f"\r\x1b[K{self.line()}{end}" if self._terminal else f"{self.line()}{end}")
+            self._write(self.line(), end)
 
-    def _write(self, text: str) -> None:
-        """Write at once."""
-        self._stream.write(text)
+    def _write(self, text: str, end: str) -> None:
+        """Write a line at once, over the last one on a terminal."""
+        start = CLEAR_LINE if self._terminal else ""
+        self._stream.write(TerminalText(start + printable(text) + end))
         self._stream.flush()
 
 
