@@ -42,9 +42,10 @@ COMMAND_NAMES = ("check", "validate", "compare", "run", "plc", "workspace", "imp
                  "import recording", "calibrate tachymeter", "identify", "train", "evaluate",
                  "view", "robots", "smooth", "figures", "nonsense")  # fmt: skip
 SHORT_COMMANDS = ("check", "import", "robots", "nonsense", "smooth", "identify", "evaluate")
-OPTIONS = ("--help", "--robot", "--seed", "--set", "--output", "--controllers", "--seeds",
-           "--out", "--period", "--driver", "--steps", "--preset", "--json", "-x", "--",
-           "--workers")  # fmt: skip
+OPTIONS = (
+    "--help", "--robot", "--seed", "--set", "--output", "--controllers", "--seeds", "--out", "--",
+    "--period", "--driver", "--steps", "--preset", "--json", "-x", "--workers",
+)  # fmt: skip
 
 
 class _Slow(BaseException):

@@ -228,5 +228,5 @@ def _checksum(tree: str, arrays: Arrays) -> int:
     """Return the CRC-32 of the nesting and of all bytes of the arrays."""
     checksum = zlib.crc32(tree.encode())
     for name in sorted(arrays):
-        checksum = zlib.crc32(np.ascontiguousarray(arrays[name]).tobytes(), checksum)
+        checksum = zlib.crc32(np.ravel(arrays[name]).view(np.uint8).data, checksum)
     return checksum

@@ -171,10 +171,11 @@ class Policy:
         Raises:
             InvalidField: A weight is not finite, or the network is damaged otherwise.
         """
+        failures: tuple[type[Exception], ...] = (InvalidField, *_onnx_failures())
         drawn = np.random.default_rng(0).standard_normal((TRIED_ROWS, self.observation_size))
         try:
             self.act(np.concatenate([np.zeros_like(drawn[:1]), drawn, TRIED_SCALE * drawn]))
-        except (InvalidField, *_onnx_failures()) as error:
+        except failures as error:
             got = f"{path}, which does not act: {str(error).splitlines()[0]}"
             raise InvalidField("path", got, POLICY_FILE_NAME) from error
 

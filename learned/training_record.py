@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.base.files import refusing, replacing
 
 SETTINGS_FILE = "settings.json"
 UNKNOWN_COMMIT = "unknown"  # commit of code that is not under git
@@ -107,19 +107,15 @@ def read_record(folder: Path) -> TrainingRecord | None:
     path = folder / SETTINGS_FILE
     if not path.is_file():
         return None
-    try:
-        settings = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(path, [f"not a JSON document: {error}"]) from error
-    if not isinstance(settings, dict) or not isinstance(settings.get("changes", ""), str):
-        raise InvalidFile(path, ["not the settings of a training"])
-    history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
-    commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
-    return TrainingRecord(
-        settings=with_later_fields(settings),
-        commits=tuple(commits),
-        started_from=history["started_from"],
-    )
+    with refusing(path, "the settings of a training"):
+        settings = dict(json.loads(path.read_text(encoding="utf-8")))
+        history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
+        commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
+        return TrainingRecord(
+            settings=with_later_fields(settings),
+            commits=tuple(commits),
+            started_from=history["started_from"],
+        )
 
 
 def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | None:

@@ -7,6 +7,7 @@ import json
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, TypeVar
 from zipfile import BadZipFile
 
@@ -20,14 +21,8 @@ from carosac_toolkit.base.files import replacing
 T = TypeVar("T")
 # What numpy and zipfile raise over a damaged archive; RuntimeError: it is encrypted.
 DAMAGED_ARCHIVE = (
-    OSError,
-    EOFError,
-    BadZipFile,
-    SyntaxError,
-    RuntimeError,
-    MemoryError,
-    zlib.error,
-)
+    OSError, EOFError, BadZipFile, SyntaxError, TokenError, RuntimeError, MemoryError, zlib.error,
+)  # fmt: skip
 
 
 def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> None:

@@ -65,7 +65,7 @@ def _parsed(file: SourceFile) -> object:
     if file.path.suffix.lower() == ".json":
         try:
             return json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise file.refuse(f"not JSON: {error}") from error
     document = read_yaml(text)
     for line, fault in document.faults:

@@ -47,7 +47,7 @@ def read_parquet(path: Path) -> Recording:
         names = file.schema_arrow.names
         _check_columns(file.schema_arrow, path)
         stored = file.read()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name is not UTF-8
         fault = f"this is no whole Parquet file: {str(error).splitlines()[0]}"
         raise InvalidFile(path, [fault]) from error
     columns, empty = {}, {}

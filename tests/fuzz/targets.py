@@ -101,7 +101,7 @@ def _parquet_changed(data: bytes, rng: np.random.Generator) -> bytes:
 
     try:
         table = pq.read_table(pa.BufferReader(data))
-    except (pa.ArrowException, OSError):
+    except (pa.ArrowException, OSError, ValueError):
         return data
     column = int(rng.integers(table.num_columns))
     name = table.column_names[column]

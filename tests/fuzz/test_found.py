@@ -1,0 +1,75 @@
+"""What damaged inputs have broken before, each as a case of its own."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.base.errors import CarosacError
+from tests.fuzz.targets import place, targets
+
+for package in ("onnx", "onnxruntime", "safetensors", "rosbags"):
+    pytest.importorskip(package)
+
+
+def replaced(old, new):
+    """Exchange a text that must be there."""
+
+    def change(data):
+        assert old in data
+        return data.replace(old, new, 1)
+
+    return change
+
+
+def with_member(name, content):
+    """Exchange one member of an npz file."""
+
+    def change(data):
+        with zipfile.ZipFile(io.BytesIO(data)) as source:
+            parts = {x: source.read(x) for x in source.namelist()}
+        assert name in parts
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as target:
+            for other, known in parts.items():
+                target.writestr(other, content(known) if other == name else known)
+        return stream.getvalue()
+
+    return change
+
+
+def as_npy(value):
+    """Bytes of an array."""
+    stream = io.BytesIO()
+    np.save(stream, np.array(value))
+    return stream.getvalue()
+
+
+FOUND = [
+    ("robot YAML", lambda data: b"a: " + b"[" * 50_000),
+    ("Parquet", lambda data: data.replace(b"time_s", b"time_\xff")),
+    ("log (jsonl)", replaced(b'"time":0.01', b'"time":1' + b"0" * 399)),
+    ("log (jsonl)", replaced(b'"metadata":{', b'"metadata":[],"x":{')),
+    ("GSI", replaced(b"21.322", b"21X322")),
+    ("GSI", replaced(b"21.322", b"3a.322")),
+    ("cdpyr", replaced(b"25.0", b"1" * 5000)),
+    ("learning curve", lambda data: data.splitlines()[0] + b"\n1,2\n"),
+    ("learning curve", lambda data: data + b"\xff"),
+    ("episodes", replaced(b"4,-1.5", b"x,-1.5")),
+    ("training settings", lambda data: data[:-5]),
+    ("training settings", replaced(b'["abc"]', b"1.5")),
+    ("snapshot npz", with_member("__header__.npy", lambda _: as_npy('{"cables": "straight"}'))),
+    ("snapshot npz", with_member("position.npy", lambda x: x.replace(b"(2, 3), }", b"(2, 3,   "))),
+    ("robot npz", with_member("__fields__.npy", lambda _: as_npy("[1]"))),
+    ("robot npz", with_member("__fields__.npy", lambda _: as_npy('{"hardware": [1]}'))),
+    ("bag MCAP", lambda data: data[:9] + b"\xff" * 7 + data[16:]),
+]
+
+
+@pytest.mark.parametrize("number", range(len(FOUND)))
+def test_what_broke_a_reader_is_refused(tmp_path, number):
+    name, change = FOUND[number]
+    (target,) = (one for one in targets() if one.name == name)
+    with pytest.raises(CarosacError):
+        target.read(place(target, tmp_path, change(target.seeds()[0])))
