@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
+from carosac_toolkit.base.file_limits import check_decoded
 from carosac_toolkit.base.files import replacing
 
 T = TypeVar("T")
@@ -69,6 +70,7 @@ def read_npz(
         raise MissingFile(path)
     try:
         with np.load(path, allow_pickle=False) as data:
+            check_decoded(path, sum(entry.file_size for entry in data.zip.infolist()))
             rest = json.loads(str(data[key]))
             return build(rest, {k: data[k] for k in data.files if k != key})
     except (*MALFORMED, *DAMAGED_ARCHIVE) as error:

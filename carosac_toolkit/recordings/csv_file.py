@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.file_limits import check_text_size
 from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table, shortened
@@ -35,6 +36,7 @@ def read_csv(path: Path) -> Recording:
     Raises:
         InvalidFile: With all faults that were found.
     """
+    check_text_size(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.file_limits import open_parquet
 from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
@@ -40,23 +41,15 @@ def read_parquet(path: Path) -> Recording:
         InvalidFile: With all faults that were found.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        stored = pq.ParquetFile(path).read()
-        names = stored.schema.names
+        file = open_parquet(path)
+        names = file.schema_arrow.names
+        _check_columns(file.schema_arrow, path)
+        stored = file.read()
     except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name is not UTF-8
         fault = f"this is no whole Parquet file: {str(error).splitlines()[0]}"
         raise InvalidFile(path, [fault]) from error
-    faults = [
-        f"column {field.name!r}: got type {field.type}; allowed: numbers"
-        for field in stored.schema
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
-    ]
-    double = {name for name in names if names.count(name) > 1}
-    faults += [f"column {name!r} appears twice" for name in sorted(double)]
-    if faults:
-        raise InvalidFile(path, faults)
     columns, empty = {}, {}
     for name in names:
         column = stored[name].combine_chunks()
@@ -69,6 +62,21 @@ def read_parquet(path: Path) -> Recording:
         columns[name] = np.array(values, dtype=np.float64)
     document = _document((stored.schema.metadata or {}).get(METADATA_KEY), path)
     return from_table(Table(columns=columns, empty=empty), document, path)
+
+
+def _check_columns(schema: Any, path: Path) -> None:
+    """Refuse columns that hold no numbers or appear twice, before they are decoded."""
+    import pyarrow as pa
+
+    faults = [
+        f"column {field.name!r}: got type {field.type}; allowed: numbers"
+        for field in schema
+        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
+    ]
+    double = {name for name in schema.names if schema.names.count(name) > 1}
+    faults += [f"column {name!r} appears twice" for name in sorted(double)]
+    if faults:
+        raise InvalidFile(path, faults)
 
 
 def _document(text: bytes | None, path: Path) -> dict[str, Any] | None:

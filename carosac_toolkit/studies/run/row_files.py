@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.file_limits import open_parquet
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
 
@@ -50,10 +51,9 @@ def read_part(path: Path) -> list[Row]:
         FileNotFoundError: It is not there.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        table = pq.ParquetFile(path).read()
+        table = open_parquet(path).read()
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError) as error:
