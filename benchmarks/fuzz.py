@@ -99,11 +99,13 @@ def _campaign(name: str, total: int) -> Counter[str]:
                 if text:
                     print(f"{name} {case}: {outcome}: {text}", flush=True)
                 case += 1
+        worker.join(1.0)
+        status = worker.exitcode  # None: it hangs
         worker.kill()
         worker.join()
         if case < total:
             counts["crash"] += 1
-            print(f"{name} {case}: crash", flush=True)
+            print(f"{name} {case}: crash, exit status {status}", flush=True)
             case += 1
     return counts
 

@@ -80,12 +80,16 @@ def find_sources(folders: Sequence[str]) -> list[FigureSource]:
         top = Path(name)
         if not top.is_dir():
             raise InvalidField("FOLDER", f"'{name}'", "a folder that is there")
-        here = [
-            FigureSource(kind=kind, folder=path.parent)
-            for depth in range(SEARCH_DEPTH_MAX)
-            for mark, kind in MARKER_FILES.items()
-            for path in sorted(top.glob("*/" * depth + mark))
-        ]
+        try:
+            here = [
+                FigureSource(kind=kind, folder=path.parent)
+                for depth in range(SEARCH_DEPTH_MAX)
+                for mark, kind in MARKER_FILES.items()
+                for path in sorted(top.glob("*/" * depth + mark))
+            ]
+        except OSError as error:
+            allowed = f"a folder that can be searched: {error.strerror}: {error.filename}"
+            raise InvalidField("FOLDER", f"'{name}'", allowed) from error
         if not here:
             allowed = "a folder that carosac compare, validate, evaluate or train wrote"
             raise InvalidField("FOLDER", f"'{name}'", allowed)
