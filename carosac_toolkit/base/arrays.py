@@ -17,7 +17,7 @@ def as_floats(name: str, value: ArrayLike) -> Array:
     """Convert to float64, or say which field is not a number."""
     try:
         return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidField(name, repr(value), "numbers") from error
 
 

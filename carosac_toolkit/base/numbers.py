@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 
 import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField
 
+FLOAT_MAX = sys.float_info.max  # a whole number may be larger
+
 
 def check_positive(name: str, value: object, unit: str = "") -> None:
     """Refuse anything but a positive finite number."""
-    if not is_number(value) or not 0.0 < value < np.inf:  # type: ignore[operator]
+    if not is_number(value) or not 0.0 < value <= FLOAT_MAX:  # type: ignore[operator]
         raise InvalidField(name, _shown(value, unit), f"{name} > 0, finite")
 
 
 def check_not_negative(name: str, value: object, unit: str = "") -> None:
     """Refuse anything but a finite number >= 0."""
-    if not is_number(value) or not 0.0 <= value < np.inf:  # type: ignore[operator]
+    if not is_number(value) or not 0.0 <= value <= FLOAT_MAX:  # type: ignore[operator]
         raise InvalidField(name, _shown(value, unit), f"{name} >= 0, finite")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,7 +92,7 @@ class SourceFile:
         """Return a finite number; NaN, and a fault, if it is none."""
         value = math.nan
         if isinstance(text, int | float) and not isinstance(text, bool):
-            value = float(text)
+            value = float(text) if abs(text) <= sys.float_info.max else math.inf
         elif isinstance(text, str) and "_" not in text:
             try:
                 value = float(text)

@@ -100,7 +100,7 @@ def value_of(option: str, whole: str, text: str) -> Any:
 
     try:
         return json.loads(text, parse_constant=refuse)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # too many digits or brackets are text too
         return text
 
 

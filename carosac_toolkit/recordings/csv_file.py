@@ -92,11 +92,10 @@ def _document(lines: list[str], path: Path) -> dict[str, Any] | None:
         document = json.loads("\n".join(line[1:] for line in lines))
     except RecursionError as error:
         raise InvalidFile(path, ["the comment lines at the top are nested too deeply"]) from error
-    except json.JSONDecodeError as error:
-        fault = (
-            f"line {error.lineno}: the comment lines at the top are not a JSON document: "
-            f"{error.msg}"
-        )
+    except ValueError as error:
+        line = f"line {error.lineno}: " if isinstance(error, json.JSONDecodeError) else ""
+        reason = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
+        fault = f"{line}the comment lines at the top are not a JSON document: {reason}"
         raise InvalidFile(path, [fault]) from error
     if not isinstance(document, dict):
         raise InvalidFile(path, ["the comment lines at the top are not a JSON object"])

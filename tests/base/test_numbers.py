@@ -23,7 +23,7 @@ def test_numbers_in_their_range_pass():
     check_whole("x", 3, 3, 3)
 
 
-@pytest.mark.parametrize("value", [-1.0, 0.0, math.nan, math.inf, True, "1", None, [1.0]])
+@pytest.mark.parametrize("value", [-1.0, 0.0, math.nan, math.inf, 10**400, True, "1", None, [1.0]])
 def test_all_else_is_refused_with_field_value_and_what_is_allowed(value):
     with pytest.raises(InvalidField, match=r"x: got .*; allowed: x > 0, finite"):
         check_positive("x", value)

@@ -63,6 +63,7 @@ def test_no_command_shows_the_help_and_is_bad_input(capsys):
         (["chek"], "did you mean 'check'"),
         (["check", "carosacc"], "did you mean 'carosac'"),
         (["check", "missing.yaml"], "no such file"),
+        (["check", "1" * 5000 + ".yaml"], "File name too long"),
         (["robots", "--json", "/no/such/folder/x.json"], "--json: got"),
         (["check", "carosac", "--picture", "/no/such/folder/x.png"], "--picture: got"),
         (["check", "carosac", "--picture", "x.gif"], "ending in .png"),

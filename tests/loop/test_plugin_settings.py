@@ -14,6 +14,11 @@ from carosac_toolkit.studies.compare.study import Study
 NAMES = {"controllers": ["mpc", "mpc@long", "my.module:Own"], "estimators": ["ekf"]}
 
 
+@pytest.mark.parametrize("text", ["1" * 5000, "[" * 100_000], ids=["digits", "brackets"])
+def test_what_json_cannot_hold_is_text(text):
+    assert chosen_settings([f"driver.x={text}"], **NAMES)["driver_settings"] == {"x": text}
+
+
 def test_settings_go_to_the_plug_in_that_is_named():
     texts = [
         "controller.mpc.period=0.04", "controller.mpc@long.horizon=1e0", "driver.real_time=true",
