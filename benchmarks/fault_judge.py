@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 
 SPEED_TOLERANCE = 1.001  # share of a limit
 ACCELERATION_TOLERANCE = 1.01
@@ -136,7 +137,11 @@ class Stop:
 
 def judge_stop(points: SetPoints, fault_at: float) -> Stop:
     """Return how the winches stopped after a fault at this time of the monotonic clock [s]."""
+    if len(points.at) < 2:
+        raise CarosacError("judge: no set point was seen while the drives were on")
     first, last = stop_range(points, fault_at)
+    if last < first:
+        raise CarosacError("judge: the winches had stopped before the fault")
     speed = points.speed[first : last + 1]
     start = speed[0]
     against = np.where(np.abs(start) > REST_SPEED, -np.sign(start) * speed, np.abs(speed))
