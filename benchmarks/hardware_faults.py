@@ -364,7 +364,7 @@ def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
     points = fault_judge.set_points(at, cycles, machine)
     lengths = fault_judge.commanded(written[written["session"] == written["session"][0]], machine)
     missing = fault_judge.unrecorded(lengths, trial.folder / "run.jsonl")
-    stop = fault_judge.judge_stop(points, fault_at)
+    stop = fault_judge.judge_stop(points, fault_at, machine)
     trial.commands = len(lengths)
     trial.problems += fault_judge.judge_limits(points, machine)
     if missing:
