@@ -289,14 +289,14 @@ def _session(path: str | Path) -> Any:
         import onnxruntime
     except ImportError as error:
         raise CarosacError(f"a policy needs onnxruntime: {INSTALL_COMMAND}") from error
-    failures = _onnx_failures()
+    failures: tuple[type[Exception], ...] = (*_onnx_failures(), ValueError)  # a text not UTF-8
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what matters is raised
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except (*failures, ValueError) as error:  # ValueError: a text in it is not UTF-8
+    except failures as error:
         raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
 
 
