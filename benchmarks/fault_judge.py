@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 
 SPEED_TOLERANCE = 1.001  # share of a limit
 ACCELERATION_TOLERANCE = 1.01
@@ -21,8 +22,7 @@ REVERSAL_MAX = 0.01  # [m/s] against the motion at the start of a stop
 FACTOR_TOLERANCE = 0.02  # share of the largest speed by which winches leave the common ramp
 REST_SPEED = 1e-4  # [m/s]
 REST_DRIFT = 1e-4  # [m] that a set position moves after rest
-FULL_SPEED_SHARE = 0.97  # below it a stop has begun
-STOP_WINDOW_S = 0.25  # before the fault, for the speed of the path
+STOP_ACCELERATION_SHARE = 0.4  # of the limit; paths here ask for 0.8 of 5 m/s^2
 RECORDED_TOLERANCE = 1e-6  # [m]
 FIRST_ROWS = 5  # among which the first command is
 DRIVES_ON = (1, 2)  # drive holding, drive moving
@@ -80,21 +80,20 @@ def set_points(at: Array, cycles: Array, machine: Machine) -> SetPoints:
     return SetPoints(at, cycles["time"], length, cycles["state"])
 
 
-def stop_range(points: SetPoints, fault_at: float) -> tuple[int, int]:
-    """Return the first and last interval of the stop; ends after it where it never came to rest.
+def stop_range(points: SetPoints, fault_at: float, machine: Machine) -> tuple[int, int]:
+    """Return the first and last interval of the stop; it ends with the data if there is no rest.
 
-    A stop begins where the speed of all winches together falls below that of the path before the
-    fault for the last time.
+    A stop begins where set points first change faster after the fault than on any path here.
     """
-    total = np.linalg.norm(points.speed, axis=1)
-    when = points.at[1:]
-    before = (when > fault_at - STOP_WINDOW_S) & (when <= fault_at)
-    reference = float(np.median(total[before])) if before.any() else float(total.max(initial=0.0))
-    fast = np.flatnonzero(total >= FULL_SPEED_SHARE * reference)
-    first = int(fast[-1]) if len(fast) else 0
-    moving = np.flatnonzero(np.abs(points.speed).max(axis=1) > REST_SPEED)
-    last = int(moving[-1]) if len(moving) else first
-    return first, last
+    speed = points.speed
+    moving = np.flatnonzero(np.abs(speed).max(axis=1) > REST_SPEED)
+    last = int(moving[-1]) if len(moving) else 0
+    share = np.abs(np.diff(speed, axis=0)) / np.diff(points.time)[1:, None]
+    braking = (share > STOP_ACCELERATION_SHARE * machine.acceleration_max).any(axis=1)
+    begun = np.flatnonzero(braking & (points.at[2:] > fault_at))
+    if not len(begun) or begun[0] > last:
+        raise CarosacError("judge: the winches had stopped before the fault")
+    return int(begun[0]), last
 
 
 def judge_limits(points: SetPoints, machine: Machine) -> list[str]:
@@ -134,9 +133,11 @@ class Stop:
     speed: float
 
 
-def judge_stop(points: SetPoints, fault_at: float) -> Stop:
+def judge_stop(points: SetPoints, fault_at: float, machine: Machine) -> Stop:
     """Return how the winches stopped after a fault at this time of the monotonic clock [s]."""
-    first, last = stop_range(points, fault_at)
+    if len(points.at) < 2:
+        raise CarosacError("judge: no set point was seen while the drives were on")
+    first, last = stop_range(points, fault_at, machine)
     speed = points.speed[first : last + 1]
     start = speed[0]
     against = np.where(np.abs(start) > REST_SPEED, -np.sign(start) * speed, np.abs(speed))

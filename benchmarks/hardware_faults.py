@@ -107,6 +107,7 @@ class Trial:
         plc: Process of the PLC; likewise `host` and `observer`.
         client: Connection of the judge to inject faults.
         named: Fault that the host or the PLC named.
+        reason: What the host said of it.
         stop: How the winches stopped.
         rest: From the fault to rest [s].
         commands: Commands that passed the proxy.
@@ -121,6 +122,7 @@ class Trial:
     observer: int = 0
     client: Any = None
     named: str = "-"
+    reason: str = ""
     stop: fault_judge.Stop | None = None
     rest: float | None = None
     commands: int = 0
@@ -196,6 +198,7 @@ def robot_file(trial: Trial, name: str, ip: str) -> None:
 
 def observe(trial: Trial) -> int:
     """The process of proxy and reader."""
+    take_priority("observer")  # the network does not wait for host and PLC
     return Observer(trial.ip, trial.plc_ip, trial.folder, DISTURBANCE).run()
 
 
@@ -344,7 +347,8 @@ def finish(trial: Trial, name: str) -> None:
     time.sleep(AFTER_REST_S)
     result = trial.folder / "run.json"
     if result.exists():
-        trial.named = json.loads(result.read_text())["fault"] or "none"
+        ended_with = json.loads(result.read_text())
+        trial.named, trial.reason = ended_with["fault"] or "none", ended_with["reason"] or ""
 
 
 def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
@@ -360,13 +364,13 @@ def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
     points = fault_judge.set_points(at, cycles, machine)
     lengths = fault_judge.commanded(written[written["session"] == written["session"][0]], machine)
     missing = fault_judge.unrecorded(lengths, trial.folder / "run.jsonl")
-    stop = fault_judge.judge_stop(points, fault_at)
+    stop = fault_judge.judge_stop(points, fault_at, machine)
     trial.commands = len(lengths)
     trial.problems += fault_judge.judge_limits(points, machine)
     if missing:
         trial.problems.append(f"{missing} of {len(lengths)} commands unrecorded")
     if trial.named not in allowed.split():
-        trial.problems.append(f"named {trial.named}, not {allowed}")
+        trial.problems.append(f"named {trial.named}, not {allowed}: {trial.reason}")
     if name == "PLC killed":
         return
     trial.stop = stop

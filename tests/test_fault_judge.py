@@ -13,6 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.plc import blocks
 
 CYCLE_S = 0.005
+MACHINE = fault_judge.Machine(np.ones(4), np.full(4, 1.0), np.full(4, 5.0))
 START = np.array([0.8, -0.5, 0.3, 0.0])  # [m/s]
 DECELERATION = 4.0  # [m/s^2] of the fastest winch
 
@@ -33,7 +34,7 @@ def ramp() -> Array:
 
 
 def test_a_common_ramp_neither_turns_back_nor_spreads():
-    stop = fault_judge.judge_stop(stopping(ramp()), fault_at=0.5)
+    stop = fault_judge.judge_stop(stopping(ramp()), 0.49, MACHINE)
     assert stop.reversal == pytest.approx(0.0, abs=1e-9)
     assert stop.spread == pytest.approx(0.0, abs=1e-9)
     assert stop.speed == pytest.approx(0.8, rel=0.03)  # the first interval of the ramp
@@ -42,18 +43,17 @@ def test_a_common_ramp_neither_turns_back_nor_spreads():
 
 def test_a_winch_that_drives_back_is_seen_with_its_speed():
     drive_back = np.concatenate([np.zeros(45), np.full(10, 0.2)])  # against -0.5 m/s, once at rest
-    stop = fault_judge.judge_stop(stopping(ramp(), drive_back), fault_at=0.5)
+    stop = fault_judge.judge_stop(stopping(ramp(), drive_back), 0.49, MACHINE)
     assert stop.reversal == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_winch_that_stops_alone_leaves_the_common_ramp():
     early = -(1.0 - np.zeros(30)) * START[1] * ramp()[:30]  # at rest at once
-    assert fault_judge.judge_stop(stopping(ramp(), early), fault_at=0.5).spread > 0.3
+    assert fault_judge.judge_stop(stopping(ramp(), early), 0.49, MACHINE).spread > 0.3
 
 
 def test_set_points_beyond_a_limit_are_named():
-    machine = fault_judge.Machine(np.ones(4), np.full(4, 1.0), np.full(4, 5.0))
-    assert fault_judge.judge_limits(stopping(ramp()), machine) == []
+    assert fault_judge.judge_limits(stopping(ramp()), MACHINE) == []
     weak = fault_judge.Machine(np.ones(4), np.full(4, 0.7), np.full(4, 3.0))
     messages = fault_judge.judge_limits(stopping(ramp()), weak)
     assert [m.split()[0] for m in messages] == ["speed", "acceleration"]

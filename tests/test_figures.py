@@ -16,14 +16,14 @@ from benchmarks.figures import CATALOGUE, MARKER, PAGES, PROSE_NUMBER, RESULTS, 
 # Headers of tables whose numbers are settings, formats, codes, methods or bounds: nobody measured
 # them. A table with numbers is either one of these, or its numbers have figures or sources.
 NOT_MEASURED = {
-    "| | |",
-    "| | CASPR | WireX | cdpyr |",
     "| Term | In code | Meaning, unit, frame |",
     "| `cables` | what | use it for |",
     "| `sighted` | the point | what must be known |",
     "| column | meaning |",
     "| column | what |",
+    "| command | port | opened on | who is served |",
     "| exit status | meaning |",
+    "| file | limit |",
     "| line | what happens |",
     "| name | cables | robot |",
     "| number | fault | |",
@@ -40,13 +40,16 @@ NOT_MEASURED = {
     "| subpackage | what lives there |",
     "| symbol | type | who writes | how often |",
     "| tool | language, licence | takes you further than this toolkit in | has not |",
-    "| what | files |",
+    "| what you have | tool | what it finds |",
     "| what | bound | the authors' compiled solver |",
+    "| what | files |",
     "| what | on what | error allowed |",
     "| what | one standard deviation |",
     "| what | what happens | counted in `belief.memory` |",
-    "| what you have | tool | what it finds |",
+    "| what | why | what it needs |",
     "| world | what a step is |",
+    "| | CASPR | WireX | cdpyr |",
+    "| | |",
 }
 WORDS = re.compile(r"`[^`]*`|\]\([^)]*\)|<!--.*?-->")  # code, addresses of links, comments
 FIGURES = {"speed.fk": [34.4], "error.axes": [20.55, 10.4, 11.5], "share": [9.9e-11]}

@@ -34,6 +34,7 @@ WINCH_RATE_RATIO = 1.5  # of a winch to the platform: 1 by geometry, 1.11 with t
 # anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
 TENSION_CHECK_SPEED_MAX = 0.05  # [m/s], up to which tensions show a wrong sign
 TENSION_SHIFT_MAX = 0.15  # sway at that speed shifts tensions by under 0.1
+FIRST_SHIFT_MAX = 0.3  # of a fast path begun slowly: its acceleration starts more sway
 REST_S = 1.0  # before each part of the way, and after the last
 GUARD_KEY = "guard"  # of the guard's settings among those of the driver
 PLC_DRIVER = "ads"
@@ -82,7 +83,7 @@ def make_guard(
         "reset_at_once": options.reset, "real_time": True,
         "speed_max": WINCH_RATE_RATIO * options.speed,
         "tension_shift_max": TENSION_SHIFT_MAX if slow else None,
-        "first_shift_max": TENSION_SHIFT_MAX,
+        "first_shift_max": FIRST_SHIFT_MAX,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
