@@ -16,7 +16,7 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.live.real_time import quick_threads, take_priority
+from carosac_toolkit.live.real_time import short_pauses, take_priority
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.loop.values import State
@@ -126,7 +126,7 @@ def main() -> None:
     """Measure and write the table."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
     take_priority("host")
-    with tempfile.TemporaryDirectory() as folder, quick_threads():
+    with tempfile.TemporaryDirectory() as folder, short_pauses():
         report = Path(folder) / "plc.json"
         with Plc(report):
             ticks, driver, wall = controlled(seconds)

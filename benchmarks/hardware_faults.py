@@ -37,7 +37,7 @@ from benchmarks.fault_wire import Disturbance, Observer, layout, observed
 from benchmarks.results import table, write_section
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli import run as run_command
-from carosac_toolkit.live.real_time import quick_threads, take_priority
+from carosac_toolkit.live.real_time import short_pauses, take_priority
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
 from carosac_toolkit.plc.blocks import Injection
@@ -160,7 +160,7 @@ def plc(trial: Trial, check: bool) -> int:
     settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=SILENCE_S)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
-    with quick_threads():
+    with short_pauses():
         emulator.run()
     emulator.close()
     return 0
@@ -199,7 +199,8 @@ def robot_file(trial: Trial, name: str, ip: str) -> None:
 def observe(trial: Trial) -> int:
     """The process of proxy and reader."""
     take_priority("observer")  # the network does not wait for host and PLC
-    return Observer(trial.ip, trial.plc_ip, trial.folder, DISTURBANCE).run()
+    with short_pauses():
+        return Observer(trial.ip, trial.plc_ip, trial.folder, DISTURBANCE).run()
 
 
 def prepare(trial: Trial, check: bool) -> None:

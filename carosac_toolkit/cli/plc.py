@@ -26,7 +26,7 @@ import tyro
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, check_reach
 from carosac_toolkit.cli.position_option import Place
-from carosac_toolkit.live.real_time import quick_threads, take_priority
+from carosac_toolkit.live.real_time import short_pauses, take_priority
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.emulator import Emulator
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings
@@ -120,7 +120,7 @@ def run(options: Options) -> CommandResult:
     print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
           f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
     try:
-        with quick_threads():
+        with short_pauses():
             emulator.run(options.duration)
     finally:
         emulator.close()

@@ -28,15 +28,15 @@ from carosac_toolkit.cli.run_builder import (
     REST_S,
     make_guard,
     make_path,
+    paced,
     recorded,
-    started_slowly,
 )
 from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import KEYS_HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.live.real_time import RealTime, quick_threads
+from carosac_toolkit.live.real_time import RealTime, short_pauses
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
@@ -70,7 +70,7 @@ def run(options: Options) -> CommandResult:
         guard.journal = recorder
         say(_what(options, guard, recorder))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
-            parts = (guard, estimator, controller, started_slowly(path, options, guard))
+            parts = (guard, estimator, controller, paced(path, options, guard))
             completed, error = _run(options, *parts, statistics, real_time)
         statistics.end_line()
         whole = recorder.close()
@@ -101,12 +101,12 @@ def _reset(robot: Robot, options: Options) -> CommandResult:
 
 @contextlib.contextmanager
 def _prepared(options: Options, guard: GuardedDriver) -> Iterator[RealTime | None]:
-    """Switch threads quickly, prepare for real time if asked, and keep the ADS library silent."""
+    """Keep pauses short, prepare for real time if asked, and keep the ADS library silent."""
     with contextlib.ExitStack() as stack:
         real_time = None
+        stack.enter_context(short_pauses())
         if options.priority:
             real_time = stack.enter_context(RealTime("carosac run", lambda: guard.at_rest))
-        stack.enter_context(quick_threads())
         stack.enter_context(without_ads_lines())
         yield real_time
 
@@ -128,7 +128,7 @@ def _run(
     try:
         log = run_loop(
             guard, estimator, controller, path, duration=duration, watch=watch, keep=1,
-            by_clock=True,
+            by_clock=options.duration is not None,  # else to the end of the path, by cycles
         )  # fmt: skip
     except BaseException as error:
         if guard.fault is None and (statistics.cycles == 0 or isinstance(error, KeyboardInterrupt)):

@@ -18,8 +18,8 @@ from carosac_toolkit.base.settings import filled
 from carosac_toolkit.cli.run_options import DEFAULT_TRAJECTORY, Options
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
+from carosac_toolkit.live.paced_path import PacedPath
 from carosac_toolkit.live.sequence import START_TOLERANCE_M, with_approach
-from carosac_toolkit.live.slow_start import SlowStart
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.plugin_settings import check_types
@@ -34,7 +34,6 @@ WINCH_RATE_RATIO = 1.5  # of a winch to the platform: 1 by geometry, 1.11 with t
 # anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
 TENSION_CHECK_SPEED_MAX = 0.05  # [m/s], up to which tensions show a wrong sign
 TENSION_SHIFT_MAX = 0.15  # sway at that speed shifts tensions by under 0.1
-FIRST_SHIFT_MAX = 0.3  # of a fast path begun slowly: its acceleration starts more sway
 REST_S = 1.0  # before each part of the way, and after the last
 GUARD_KEY = "guard"  # of the guard's settings among those of the driver
 PLC_DRIVER = "ads"
@@ -83,7 +82,7 @@ def make_guard(
         "reset_at_once": options.reset, "real_time": True,
         "speed_max": WINCH_RATE_RATIO * options.speed,
         "tension_shift_max": TENSION_SHIFT_MAX if slow else None,
-        "first_shift_max": FIRST_SHIFT_MAX,
+        "first_shift_max": TENSION_SHIFT_MAX,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
@@ -121,16 +120,14 @@ def make_path(robot: Robot, options: Options) -> Followed:
     return with_approach(path, start, rest=REST_S, **limits)
 
 
-def started_slowly(path: Followed, options: Options, guard: GuardedDriver) -> Followed:
-    """Return the path, slow while the guard watches the first way after a new home."""
+def paced(path: Followed, options: Options, guard: GuardedDriver) -> PacedPath:
+    """Return the path by cycles, slow while the guard watches the first way after a new home."""
     slow = options.speed <= TENSION_CHECK_SPEED_MAX
     if slow or not (options.home_anew and options.enable):
-        return path
-    later = guard.settings.first_way / TENSION_CHECK_SPEED_MAX
-    later += options.speed / options.acceleration
-    return SlowStart(
-        path, lambda: guard.monitor.checks.first_way, speed=TENSION_CHECK_SPEED_MAX,
-        acceleration=options.acceleration, duration=path.duration + later,
+        return PacedPath(path)
+    return PacedPath(
+        path, slow=lambda: guard.monitor.checks.first_way, slow_speed=TENSION_CHECK_SPEED_MAX,
+        slow_way=guard.settings.first_way, speed=options.speed, acceleration=options.acceleration,
     )  # fmt: skip
 
 

@@ -20,13 +20,22 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # of mlockall(2)
 
 
 @contextlib.contextmanager
-def quick_threads() -> Iterator[None]:
-    """Let threads take turns quickly, so that an answer does not wait while another computes."""
+def short_pauses() -> Iterator[None]:
+    """Let threads take turns quickly, and keep collections of garbage short.
+
+    A collection looks at all objects, and the libraries have so many that it takes over 0.1 s.
+    Within the block it looks at those alone that were made in it.
+    """
     usual = sys.getswitchinterval()
     sys.setswitchinterval(THREAD_SWITCH_INTERVAL_S)
+    frozen = gc.get_freeze_count()
+    gc.collect()
+    gc.freeze()
     try:
         yield
     finally:
+        if not frozen:
+            gc.unfreeze()
         sys.setswitchinterval(usual)
 
 
@@ -55,10 +64,9 @@ class RealTime:
     """What a loop in real time can have of Linux and Python; what it cannot have is named.
 
     Within the block: priority before ordinary processes, also for threads started later; memory
-    that is used stays in memory; garbage is collected at rest only, and what was there before
-    counts as none. From the first `cycle` on its thread keeps an isolated core; the other threads,
-    above all the watchdog, keep all cores. On a core that is not isolated it would wait for others
-    of its priority while another core is free.
+    that is used stays in memory; garbage is collected at rest only. From the first `cycle` on its
+    thread keeps an isolated core; the other threads, above all the watchdog, keep all cores. On a
+    core that is not isolated it would wait for others of its priority while another core is free.
     """
 
     def __init__(self, command: str, at_rest: Callable[[], bool]) -> None:
@@ -73,7 +81,6 @@ class RealTime:
         take_priority(self._command)
         self._locked = self._call("memory lock", "mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
         gc.collect()
-        gc.freeze()
         gc.disable()
         return self
 
@@ -92,7 +99,6 @@ class RealTime:
     ) -> None:  # fmt: skip
         """Give back cores and memory, and collect garbage as before."""
         gc.enable()
-        gc.unfreeze()
         if self._locked:
             self._call("memory unlock", "munlockall")
         if self._cores:

@@ -13,7 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.plant import Shaped
 from carosac_toolkit.live.hand_target import HandTarget
-from carosac_toolkit.live.real_time import quick_threads
+from carosac_toolkit.live.real_time import short_pauses
 from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.robot.robot import Robot
@@ -202,7 +202,7 @@ def follow(
     """
     watch = LiveWatch(driver=driver, instants=instants)
     try:
-        with quick_threads():
+        with short_pauses():
             run(
                 driver, estimator, controller, target, watch=watch, keep=1,
                 duration=target.duration if duration is None else duration,

@@ -9,7 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from carosac_toolkit.live import real_time as real_time_module
-from carosac_toolkit.live.real_time import RealTime, isolated_cores, take_priority
+from carosac_toolkit.live.real_time import (
+    RealTime,
+    isolated_cores,
+    short_pauses,
+    take_priority,
+)
 
 
 def policies(*, inherited: bool) -> tuple[int, int]:
@@ -113,3 +118,12 @@ def test_what_cannot_be_had_is_named(isolated, capsys, monkeypatch):
     words = capsys.readouterr().err
     for what in ("priority", "memory lock", "core"):
         assert f"test: warning: no {what}: [Errno 1] Operation not permitted" in words
+
+
+def test_a_collection_of_garbage_spares_what_was_there_before():
+    old = [[] for _ in range(1000)]
+    with short_pauses():
+        new = [[] for _ in range(1000)]
+        looked_at = {id(thing) for thing in gc.get_objects()}
+        assert not looked_at & {id(thing) for thing in old}
+        assert looked_at >= {id(thing) for thing in new}
