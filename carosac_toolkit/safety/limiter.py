@@ -8,7 +8,8 @@ length limits and at the box.
 
 Order of precedence:
 
-1. What is asked passes, bit by bit, where it keeps all limits and leaves room to stop.
+1. What is asked passes, bit by bit, where it keeps all limits and leaves room to stop. Cables that
+   were elsewhere join it only where the next two steps can keep them with it.
 2. Else the cables go together, by one common factor, along the straight line in length space to
    what is asked, as far as that is admissible and does not end beyond it. The line starts at the
    step in which they match its pace with jerks and accelerations in proportion, so that motions in
@@ -141,8 +142,13 @@ class Limiter:
             self._size = size
         rest = np.zeros_like(length)
         self._motion = WinchMotion(length, rest, rest, position)
-        self._asked = length
+        self._asked, self._paced = length, rest
         self._time = start
+
+    def begin_path(self) -> None:
+        """Forget what was asked last: the next command begins a new path from here."""
+        motion = self._now()[1]
+        self._asked, self._paced = motion.length, motion.speed
 
     def apply(self, command: Command, actual: ArrayLike | None = None) -> Command:
         """Limit a command to what may be sent for the next period.
@@ -167,7 +173,8 @@ class Limiter:
         brakes, motion = self._now()
         asked = self._checked("unstrained_length", command.unstrained_length)
         measured = None if actual is None else self._checked("actual", actual)
-        sent = brakes.limit(motion, asked, self._pace(asked), measured)
+        pace = self._pace(asked)
+        sent = brakes.limit(motion, asked, pace, (pace - self._paced) / self.period, measured)
         hits: list[LimitHit] = []
         changed = (sent.length != asked).any(axis=1)
         far = False
@@ -183,7 +190,7 @@ class Limiter:
             rate = np.where(changed[:, None], sent.speed, rate)
             rate = np.clip(rate, -self.robot.speed_max, self.robot.speed_max)
             hits += rate_hits(command.length_rate, rate)
-        self._motion, self._asked, self._time = sent, asked, command.time
+        self._motion, self._asked, self._paced, self._time = sent, asked, pace, command.time
         if not hits:
             return command
         return Command(
@@ -200,7 +207,7 @@ class Limiter:
         """
         brakes, motion = self._now()
         self._motion = brakes.stop(motion)
-        self._asked = self._motion.length
+        self.begin_path()
         self._time = self._time + self.period
         return Command(time=self._time, unstrained_length=self._motion.length)
 

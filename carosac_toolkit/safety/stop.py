@@ -47,6 +47,7 @@ class CoordinatedStop:
                 last one.
         """
         self._limiter = limiter
+        limiter.begin_path()
         robot, jerk = limiter.robot, limiter.settings.jerk_max
         slack = Slack.of(robot, jerk, limiter.period)
         self._most = (

@@ -230,6 +230,20 @@ def test_cables_in_proportion_stay_in_proportion_until_they_arrive_together():
     assert len(lengths) * 0.01 < 2 * np.sqrt(np.abs(goal - start).max() / 5.0) + 0.1
 
 
+@pytest.mark.parametrize("size", [1e-4, 3e-4, 1e-3, 1e-2, 5e-2])  # [m]
+def test_a_target_at_rest_is_reached_without_swinging(size):
+    start = home(ROBOT, 200)
+    goal = start + size * np.random.default_rng(0).standard_normal(start.shape)
+    limiter = limiter_at_home(ROBOT, 200)
+    lengths = [start]
+    for _ in range(60):  # the time-optimal motion over the largest distance takes 0.42 s
+        lengths.append(limiter.apply(asked(goal)).unstrained_length)
+    beyond = (np.array(lengths) - goal) * np.sign(goal - start)
+    assert beyond.max() < 200.0 * 0.01**3  # what jerk allows in one period
+    assert (lengths[-1] == goal).all()
+    assert limiter.stopped
+
+
 def test_a_moving_target_is_caught_up_with():
     limiter = limiter_at_home(box=False)
     start, rate = home(ROBOT), np.array([[0.5, -0.2, -0.5, 0.3]])

@@ -27,14 +27,15 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion import braking_kernels, stop_kernels
 from carosac_toolkit.robot.robot import Robot
 
-SETTLE_SLACK_M = 1e-9  # overshoot allowed to a shortened step beyond its target [m]
+SETTLE_ROUNDINGS = 5.0  # of a length, by which a shortened step may end beyond its target
 BOX_SLACK_M = 1e-9  # accuracy of the straight-line position [m]
 _MACHINE_EPSILON = 2.0**-52
 _MOTION_FIELDS = ("length", "speed", "acceleration", "position")
 _CABLE_BUFFERS = (
-    "length", "speed", "acceleration", "asked", "pace", "actual", "brake_length", "base_length",
-    "base_speed", "base_acceleration", "share", "base_end", "walk_length", "walk_speed",
-    "walk_acceleration", "sent_length", "sent_speed", "sent_acceleration", "low", "high", "peak",
+    "length", "speed", "acceleration", "asked", "pace", "pace_change", "actual", "brake_length",
+    "base_length", "base_speed", "base_acceleration", "share", "base_end", "walk_length",
+    "walk_speed", "walk_acceleration", "sent_length", "sent_speed", "sent_acceleration", "low",
+    "high", "peak",
 )  # fmt: skip
 
 
@@ -143,14 +144,16 @@ class Brakes:
         }  # fmt: skip
 
     def limit(
-        self, motion: WinchMotion, asked: Array, pace: Array, actual: Array | None
-    ) -> WinchMotion:
-        """Return the asked step if it is admissible, else one as far towards it as is.
+        self, motion: WinchMotion, asked: Array, pace: Array, pace_change: Array,
+        actual: Array | None,
+    ) -> WinchMotion:  # fmt: skip
+        """Return the asked step if it is admissible and can be kept, else one as far towards it.
 
         Args:
             motion: Current motion of the winches, admissible.
             asked: Lengths [m], shape (B, n).
             pace: Speed of the asked lengths [m/s], shape (B, n).
+            pace_change: Their acceleration [m/s^2], shape (B, n).
             actual: Measured lengths [m], shape (B, n), or None: the jump limit does not count.
 
         Returns:
@@ -159,6 +162,7 @@ class Brakes:
         self._put(motion)
         self._views["asked"][...] = asked
         self._views["pace"][...] = pace
+        self._views["pace_change"][...] = pace_change
         self._views["use_actual"][...] = actual is not None
         if actual is not None:
             self._views["actual"][...] = actual
@@ -208,4 +212,4 @@ def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
     rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
     rules.length_slack, rules.speed_slack = slack.length, slack.speed
     rules.acceleration_slack, rules.jerk_slack = slack.acceleration, slack.jerk
-    rules.settle_slack, rules.box_slack = SETTLE_SLACK_M, BOX_SLACK_M
+    rules.settle_slack, rules.box_slack = SETTLE_ROUNDINGS * slack.length, BOX_SLACK_M

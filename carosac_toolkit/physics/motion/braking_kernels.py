@@ -149,6 +149,31 @@ def admissible(b: int, factor: f64, settle: int, work: StopWork, rules: Rules):
 
 
 @wp.func
+def can_follow(b: int, work: StopWork, rules: Rules):
+    """Return 1 if cables that take the asked step can follow what is asked from then on.
+
+    Cables that already follow can. Others arrive with an excess of speed. The next step has to
+    remove it, and the one after that has to change to the acceleration of what is asked, both
+    within the limits. Otherwise cables would pass the target, turn back, and pass it again.
+    """
+    ok = wp.int32(1)
+    h = rules.period
+    jump = h * (rules.jerk_max + rules.jerk_slack)
+    for i in range(rules.length_min.shape[0]):
+        v = (work.asked[b, i] - work.length[b, i]) / h
+        a = (v - work.speed[b, i]) / h
+        excess = (v - work.pace[b, i]) / h
+        a_next = work.pace_change[b, i] - excess
+        if excess != f64(0.0) and (
+            wp.abs(excess) > jump
+            or wp.abs(a_next - a) > jump
+            or wp.abs(a_next) > rules.acceleration_max[i] + rules.acceleration_slack
+        ):
+            ok = wp.int32(0)
+    return ok
+
+
+@wp.func
 def search(b: int, good: f64, work: StopWork, rules: Rules):
     """Find the farthest admissible candidate towards the asked step; `good` is one, or < 0."""
     best = good
@@ -188,7 +213,7 @@ def send(b: int, factor: f64, work: StopWork, rules: Rules):
 
 @wp.kernel
 def limit_step(work: StopWork, rules: Rules):
-    """Send the asked step if it is admissible, else one as far towards it as is.
+    """Send the asked step if it is admissible and can be kept, else one as far towards it as is.
 
     Two lines lead there: from a step in which the cables match its pace together, and where that
     is not admissible, from the next step of the controlled stop, which always is.
@@ -196,7 +221,7 @@ def limit_step(work: StopWork, rules: Rules):
     b = wp.tid()
     base_on_brake(b, work, rules)
     factor = f64(1.0)
-    if admissible(b, factor, 0, work, rules) == 0:
+    if can_follow(b, work, rules) == 0 or admissible(b, factor, 0, work, rules) == 0:
         base_in_step(b, work, rules)
         factor = search(b, f64(-1.0), work, rules)
         if factor < f64(0.0):

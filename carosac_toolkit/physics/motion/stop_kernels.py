@@ -52,10 +52,10 @@ class Rules:
 class StopWork:
     """Arrays of a batch: (B, n), positions (B,).
 
-    The motion now; what is asked, how fast that moves and what was measured; the length after the
-    next step of the controlled stop; the motion from which a line leads to the asked step, with
-    the share of the limits it uses and where it ends relative to what is asked; the motion that a
-    look ahead has come to; what is sent; and the extremes of a look ahead.
+    The motion now; what is asked, its speed and acceleration, and what was measured; the length
+    after the next step of the controlled stop; the motion from which a line leads to the asked
+    step, with the share of the limits it uses and where it ends relative to what is asked; the
+    motion that a look ahead has come to; what is sent; and the extremes of a look ahead.
     """
 
     length: wp.array2d(dtype=f64)
@@ -64,6 +64,7 @@ class StopWork:
     position: wp.array(dtype=vec3)
     asked: wp.array2d(dtype=f64)
     pace: wp.array2d(dtype=f64)
+    pace_change: wp.array2d(dtype=f64)
     actual: wp.array2d(dtype=f64)
     use_actual: wp.array(dtype=wp.int32)
     brake_length: wp.array2d(dtype=f64)
