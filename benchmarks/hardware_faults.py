@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -106,6 +107,7 @@ class Trial:
         wait: From the first motion to the fault [s].
         plc: Process of the PLC; likewise `host` and `observer`.
         client: Connection of the judge to inject faults.
+        fault_at: When the fault was injected, by the monotonic clock [s].
         named: Fault that the host or the PLC named.
         reason: What the host said of it.
         stop: How the winches stopped.
@@ -121,6 +123,7 @@ class Trial:
     host: int = 0
     observer: int = 0
     client: Any = None
+    fault_at: float = np.nan
     named: str = "-"
     reason: str = ""
     stop: fault_judge.Stop | None = None
@@ -157,7 +160,7 @@ def plc(trial: Trial, check: bool) -> int:
     """The PLC process."""
     take_priority("plc")
     robot = ct.load_robot(trial.folder / "plc.yaml")
-    settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=SILENCE_S)
+    settings = EmulatorSettings(encoder_check=check, shift=0.05, watchdog=SILENCE_S)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     with short_pauses():
@@ -300,8 +303,8 @@ FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
 }  # fmt: skip
 
 
-def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:
-    """One fault at one random time."""
+def run_trial(name: str, rng: np.random.Generator, number: int, keep: Path | None) -> Trial:
+    """One fault at one random time; all files of it are kept in a folder, if there is one."""
     inject, allowed = FAULTS[name]
     ip = f"127.{20 + os.getpid() % 200}.{1 + number // 100}.{1 + 2 * (number % 100)}"
     with tempfile.TemporaryDirectory() as folder:
@@ -309,12 +312,12 @@ def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:
         try:
             prepare(trial, check="by the host" not in name)
             time.sleep(trial.wait)
-            fault_at = time.monotonic()
+            trial.fault_at = time.monotonic()
             inject(trial)
             finish(trial, name)
             try_again(trial, name)
             end(trial.observer, signal.SIGTERM)
-            judge(trial, name, allowed, fault_at)
+            judge(trial, name, allowed)
         except (TimeoutError, CarosacError) as error:
             texts = [(trial.folder / f"{who}.txt").read_text()[-600:] for who in ("plc", "host")]
             trial.problems.append(" ".join([str(error), *texts]))
@@ -323,6 +326,10 @@ def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:
                 end(process, signal.SIGKILL)
             if trial.client is not None:
                 trial.client.close()
+        if keep is not None:
+            seen = {"fault_at": trial.fault_at, "named": trial.named, "problems": trial.problems}
+            (trial.folder / "trial.json").write_text(json.dumps(seen))
+            shutil.copytree(folder, keep / f"{name.replace(' ', '-')}-{number}")
     return trial
 
 
@@ -352,7 +359,7 @@ def finish(trial: Trial, name: str) -> None:
         trial.named, trial.reason = ended_with["fault"] or "none", ended_with["reason"] or ""
 
 
-def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
+def judge(trial: Trial, name: str, allowed: str) -> None:
     """Judge what was seen on the wire."""
     robot = ct.load_robot(trial.folder / "robot.yaml")
     assert robot.hardware is not None
@@ -365,7 +372,6 @@ def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
     points = fault_judge.set_points(at, cycles, machine)
     lengths = fault_judge.commanded(written[written["session"] == written["session"][0]], machine)
     missing = fault_judge.unrecorded(lengths, trial.folder / "run.jsonl")
-    stop = fault_judge.judge_stop(points, fault_at, machine)
     trial.commands = len(lengths)
     trial.problems += fault_judge.judge_limits(points, machine)
     if missing:
@@ -374,8 +380,8 @@ def judge(trial: Trial, name: str, allowed: str, fault_at: float) -> None:
         trial.problems.append(f"named {trial.named}, not {allowed}: {trial.reason}")
     if name == "PLC killed":
         return
-    trial.stop = stop
-    trial.rest = stop.rest_at - fault_at
+    stop = trial.stop = fault_judge.judge_stop(points, trial.fault_at, machine)
+    trial.rest = stop.rest_at - trial.fault_at
     late = trial.rest > STATED_S and name != "PLC frozen"  # frozen for as long as the host ran
     checks = {
         f"{trial.rest:.2f} s to rest": late,
@@ -428,7 +434,7 @@ HEADER = [
 ]  # fmt: skip
 
 
-def measure(names: list[str], times: int, seed: int) -> list[list[str]]:
+def measure(names: list[str], times: int, seed: int, keep: Path | None) -> list[list[str]]:
     """Run each of these faults, and print what was wrong; return rows of the table."""
     warm_up()
     rng = np.random.default_rng(seed)
@@ -437,7 +443,7 @@ def measure(names: list[str], times: int, seed: int) -> list[list[str]]:
         trials = []
         for _ in range(times):
             number += 1
-            trials.append(run_trial(name, rng, number))
+            trials.append(run_trial(name, rng, number, keep))
         rows.append(table_row(name, trials))
         problems = [problem for t in trials for problem in t.problems]
         print(rows[-1], *problems, sep="\n    ", file=sys.stderr, flush=True)
@@ -451,11 +457,13 @@ def main() -> None:
     parser.add_argument("faults", nargs="*", default=list(FAULTS))
     parser.add_argument("--jobs", type=int, default=1, help="trials at the same time")
     parser.add_argument("--rows", type=Path, help="where one job keeps its rows")
+    parser.add_argument("--keep", type=Path, help="folder in which all files of trials are kept")
     options = parser.parse_args()
     if unknown := set(options.faults) - set(FAULTS):
         parser.error(f"faults: got {sorted(unknown)}; allowed: {list(FAULTS)}")
     if options.rows is not None:
-        rows = measure(options.faults, options.times, seed=list(FAULTS).index(options.faults[0]))
+        seed = list(FAULTS).index(options.faults[0])
+        rows = measure(options.faults, options.times, seed, options.keep)
         options.rows.write_text(json.dumps(rows))
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -464,6 +472,7 @@ def main() -> None:
             command = [sys.executable, "-m", "benchmarks.hardware_faults", str(options.times)]
             file = Path(folder) / f"{k}.json"
             command += [*options.faults[k :: options.jobs], "--rows", str(file)]
+            command += ["--keep", str(options.keep)] if options.keep is not None else []
             jobs.append((subprocess.Popen(command), file))
         if any(job.wait() for job, _ in jobs):
             sys.exit("hardware_faults: a job failed")
