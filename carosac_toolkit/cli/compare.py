@@ -57,8 +57,7 @@ def run(options: Options) -> CommandResult:
     study = _study(options)
     study.check()
     if options.baseline is not None:
-        ways = ways_of(study.controllers, study.estimators, study.suites)
-        check_baseline(options.baseline, ways)
+        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.suites))
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()
@@ -71,10 +70,9 @@ def run(options: Options) -> CommandResult:
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
     print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
-    paired = [block.data() for block in blocks]
     data = {
         **results.data(),
-        "paired": paired,
+        "paired": [block.data() for block in blocks],
         "conclusions": sentences,
         "output": str(results.folder),
     }

@@ -139,8 +139,7 @@ def _move(
     low, high = robot.workspace_min, robot.workspace_max
     got = " ".join(f"{x:g}" for x in end) + " m"
     if not ((goal >= low) & (goal <= high)).all():
-        allowed = f"{low.tolist()} to {high.tolist()} m, the workspace box"
-        raise InvalidField("--to", got, allowed)
+        raise InvalidField("--to", got, f"{low.tolist()} to {high.tolist()} m, the workspace box")
     if np.linalg.norm(goal - start) < START_TOLERANCE_M:
         raise InvalidField("--to", got, "another place than where the platform stands (--home)")
     return trajectories.minimum_snap(np.stack([start, goal]), **limits)

@@ -190,8 +190,7 @@ def _commands(controller: Any, robot: Robot) -> list[Array]:
     """Return the lengths along a scene, after a reset."""
     scene = make_scene(robot)
     controller.reset(scene.beliefs[0])
-    references = scene.references(controller.period, controller.horizon)
-    pairs = zip(scene.beliefs, references, strict=True)
+    pairs = zip(scene.beliefs, scene.references(controller.period, controller.horizon), strict=True)
     return [np.array(controller.command(b, r).unstrained_length) for b, r in pairs]
 
 

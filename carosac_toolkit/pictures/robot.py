@@ -157,9 +157,8 @@ def _draw_platform(axes: Any, report: RobotReport) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     anchors = _anchors(report)
-    faces = _faces(anchors)
     patch = Poly3DCollection(
-        faces, facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
+        _faces(anchors), facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
     )
     axes.add_collection3d(patch)
     axes.scatter(*anchors.T, color=PLATFORM_COLOR, s=10, label="anchor points", depthshade=False)

@@ -217,8 +217,7 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
         color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
-    columns = [plane.right, plane.up]
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=4)
+    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=4)
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:

@@ -153,8 +153,7 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
     """Check plain data, field by field and against each other."""
     model, parts, errors = _validate(data)
     unknown = _unknown_keys(errors)
-    faults = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
-    return model, faults
+    return model, _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
 
 
 def _looks_like_path(text: str) -> bool:

@@ -140,11 +140,10 @@ class Region:
 
     def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
         """Return the causes, ready for JSON."""
-        names = self.robot.cable_names
         return [
             {
                 "limit": LIMIT_LABELS[Limit(limit)],
-                "cable": cable_of(limit, cable, names),
+                "cable": cable_of(limit, cable, self.robot.cable_names),
                 "positions": count,
             }
             for limit, cable, count in self.causes(at_the_end=at_the_end)
@@ -187,8 +186,7 @@ def compute(
 def _worst(verdicts: Sequence[Verdicts]) -> Verdicts:
     """Return row by row the verdict that is outside, or has the least margin."""
     margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in verdicts])
-    inside = np.stack([v.inside for v in verdicts])
-    chosen = np.lexsort((margin, inside), axis=0)[0]
+    chosen = np.lexsort((margin, np.stack([v.inside for v in verdicts])), axis=0)[0]
     worst: Verdicts = _choose(verdicts, chosen)
     return worst
 

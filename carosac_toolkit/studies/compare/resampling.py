@@ -89,8 +89,7 @@ def interval(
     step = max(1, SORTED_VALUES_MAX // kept[0].size)
     values = []
     for first in range(0, resamples, step):
-        rows = min(step, resamples - first)
-        drawn = rng.integers(0, seeds, size=(rows, seeds))
+        drawn = rng.integers(0, seeds, size=(min(step, resamples - first), seeds))
         for table in kept:
             drawn = drawn[_with_all_paths(table, drawn)]
         values.append(statistic(*(table[drawn] for table in kept)))
