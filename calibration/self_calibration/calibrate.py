@@ -146,8 +146,7 @@ def _refuse(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> No
     both = data + problem.prior.information
     tied = data[np.ix_(rows, rest)]
     alone = data[np.ix_(rows, rows)] - tied @ np.linalg.solve(both[np.ix_(rest, rest)], tied.T)
-    scale = problem.prior.sigma[rows]
-    seen = judge(problem.prior.names[: len(rows)], alone, scale)
+    seen = judge(problem.prior.names[: len(rows)], alone, problem.prior.sigma[rows])
     left = np.linalg.inv(both)[np.ix_(rows, rows)]
     loose = float(np.sqrt(np.linalg.eigvalsh(left)[-1]))
     if (seen.blind or seen.weak) and loose > LOOSE_EXIT_SHARE * problem.longest:

@@ -152,8 +152,7 @@ class MotorAngleProblem:
         cables = straight_length(self.robot, moved)
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
-        direction = cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
-        return length, direction
+        return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
 
     def _makes(self) -> list[tuple[float, ...]]:
         """Return what drums of one make have in common."""

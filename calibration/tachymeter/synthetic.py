@@ -123,8 +123,7 @@ def draw_survey(
                         axis=robot.swivel_axis[i], towards=towards[i],
                     )  # fmt: skip
                     side = float(np.sign(elevation(point, pulley, station[:3])))
-                    turn = float(swivel[i])
-                    point = sighted_point(point, sighting, pulley, turn, side).point
+                    point = sighted_point(point, sighting, pulley, float(swivel[i]), side).point
                 shots.append(_shoot(name, station, cable, point, sighting))
             for reference, place in places.items():
                 shots.append(_shoot(name, station, reference, place, Sighting()))
