@@ -115,9 +115,8 @@ class Tracker:
         if track.state is None or gap > self._settings.gap_max:
             return self._hung_anew(track, measurement, row)
         state = track.state
-        keep = min(state.time, now)
         readings = track.readings.taken(
-            when, length, self._robot, self._settings.reading_jump, keep
+            when, length, self._robot, self._settings.reading_jump, min(state.time, now)
         )
         track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
@@ -162,8 +161,7 @@ class Tracker:
     def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Move the filter to the last known lengths, then the estimate to now."""
         now = float(measurement.time[row])
-        known = min(now, float(track.readings.time[-1]))
-        track = self._fused(track, known, measurement, row)
+        track = self._fused(track, min(now, float(track.readings.time[-1])), measurement, row)
         state = track.state
         assert state is not None
         if now - state.time > READING_INTERVAL_MIN_S:

@@ -83,8 +83,7 @@ def _columns(name: str, values: Array) -> dict[str, Array]:
 
 def _quaternion(result: Smoothed) -> Array:
     """Return the rotations as quaternions w x y z, shape (N, 4)."""
-    poses = PoseSamples.from_rotation(result.time, result.position, result.rotation)
-    return poses.quaternion
+    return PoseSamples.from_rotation(result.time, result.position, result.rotation).quaternion
 
 
 def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
