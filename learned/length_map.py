@@ -171,5 +171,4 @@ def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
     moment = np.cross(center[:, None, :], np.eye(3)).transpose(0, 2, 1)  # columns c x e_k
     force = np.broadcast_to(np.eye(3), moment.shape)
     wrench = robot.mass * np.concatenate([force, moment], axis=1)
-    motion = np.linalg.solve(rest.stiffness, wrench)[:, :3]
-    return np.asarray(motion, dtype=np.float64)
+    return np.asarray(np.linalg.solve(rest.stiffness, wrench)[:, :3], dtype=np.float64)

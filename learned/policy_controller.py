@@ -164,8 +164,7 @@ class PolicyController:
             due, due_velocity = reference.position[:, 0], reference.velocity[:, 0]
             error, environment = belief.position - due, self._environment
             mean_error = fading(mean_error, error, self.period, environment.memory)
-            memory = environment.correction_memory
-            lasting_error = fading(lasting_error, error, self.period, memory)
+            lasting_error = fading(lasting_error, error, self.period, environment.correction_memory)
         return ObservationInputs(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,

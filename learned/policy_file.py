@@ -243,8 +243,7 @@ def _model(layers: Layers, activation: str) -> ModelProto:
         last = k == len(layers) - 1
         value = "action" if last else f"hidden_{k}"
         if last or activation == "relu":
-            operation = "Tanh" if last else "Relu"
-            nodes.append(helper.make_node(operation, [f"linear_{k}"], [value]))
+            nodes.append(helper.make_node("Tanh" if last else "Relu", [f"linear_{k}"], [value]))
         else:  # silu
             nodes.append(helper.make_node("Sigmoid", [f"linear_{k}"], [f"gate_{k}"]))
             nodes.append(helper.make_node("Mul", [f"linear_{k}", f"gate_{k}"], [value]))

@@ -170,8 +170,7 @@ class SimulatorEstimator:
             late = f"{measurement.time.min()} s after {self._time.max()} s"
             raise InvalidField("measurement.time", late, "later than the last one")
         if np.ptp(step) > STEP_DIFFERENCE_MAX_S:
-            allowed = "the same for all robots"
-            raise InvalidField("measurement.time", f"steps of {step} s", allowed)
+            raise InvalidField("measurement.time", f"steps of {step} s", "the same for all robots")
         return float(step[0])
 
     def _start_at_rest(self, which: NDArray[np.bool_], lengths: Array) -> NDArray[np.bool_]:

@@ -229,8 +229,7 @@ def _paths(axes: Any, wanted: Array, paths: Array, robot: Robot, view: tuple[int
     columns = list(view)
     ends = np.stack([robot.workspace_min, robot.workspace_max])[:, columns]
     corners = np.array(list(product(*ends.T)))
-    edges = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
-    for k, edge in enumerate(edges):
+    for k, edge in enumerate([(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]):
         label = None if k else "workspace box"
         axes.plot(*np.stack(edge).T, color=BOX_COLOR, lw=0.9, ls=":", label=label)
     for k, reference in enumerate(wanted[..., columns]):
