@@ -125,8 +125,7 @@ class LengthMap:
             buffers.put("offset", ZERO_VECTOR if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
-            values: Array = buffers.get(wanted)
-            return values
+            return buffers.get(wanted)
 
     def _allocate(self, size: int) -> Buffers:
         """Allocate the buffers of the kernel, with coefficients and robot in them."""

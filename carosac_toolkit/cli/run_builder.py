@@ -86,8 +86,7 @@ def make_guard(
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
-    guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
-    return guard
+    return kind.build(robot, made, seed=options.seed)
 
 
 def _refuse_reserved(asked: dict[str, Any]) -> None:

@@ -202,8 +202,7 @@ def _anchors(report: RobotReport) -> Array:
     """Return the anchor points at home in W [m], shape (n, 3)."""
     home = report.equilibrium
     place = home.position[0] if home.converged[0] else report.robot.home_position
-    points: Array = place + report.robot.anchor_points @ report.rotation.T
-    return points
+    return place + report.robot.anchor_points @ report.rotation.T
 
 
 def box_edges(robot: Robot) -> list[Array]:

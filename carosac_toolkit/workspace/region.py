@@ -75,8 +75,7 @@ class Region:
             ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
             near[tuple(ahead)] |= inside[tuple(behind)]
             near[tuple(behind)] |= inside[tuple(ahead)]
-        beside: NDArray[np.bool_] = (near & ~inside).ravel()
-        return beside
+        return (near & ~inside).ravel()
 
     def sentence(self) -> str:
         """Return the result in words."""

@@ -43,8 +43,7 @@ def typical(table: Array) -> Array:
     middle, some = (0.5 * (low + high))[:, 0], (count > 0)[:, 0]
     total = np.where(some, middle, 0.0).sum(axis=1)
     paths = some.sum(axis=1)
-    means: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
-    return means
+    return np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
 
 
 def interval(
