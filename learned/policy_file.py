@@ -236,9 +236,11 @@ def _model(layers: Layers, activation: str) -> ModelProto:
     tensors = []
     value = "observation"
     for k, (weight, bias) in enumerate(layers):
-        tensors.append(numpy_helper.from_array(weight, f"weight_{k}"))
-        tensors.append(numpy_helper.from_array(bias, f"bias_{k}"))
         inputs = [value, f"weight_{k}", f"bias_{k}"]
+        tensors += [
+            numpy_helper.from_array(weight, f"weight_{k}"),
+            numpy_helper.from_array(bias, f"bias_{k}"),
+        ]
         nodes.append(helper.make_node("Gemm", inputs, [f"linear_{k}"], transB=1))
         last = k == len(layers) - 1
         value = "action" if last else f"hidden_{k}"

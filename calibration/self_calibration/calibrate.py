@@ -113,12 +113,14 @@ def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstim
     to_robot = np.vstack([exits, slope, buildup])
     prior = problem.prior.covariance
     from_before = np.vstack([exits, slope_before, buildup])
-    names = [*problem.prior.names[: problem.exits.size]]
-    names += [f"drum_radius[{cable}]" for cable in robot.cable_names]
-    names += [f"drum_buildup[{cable}]" for cable in robot.cable_names]
+    names = (
+        *problem.prior.names[: problem.exits.size],
+        *(f"drum_radius[{cable}]" for cable in robot.cable_names),
+        *(f"drum_buildup[{cable}]" for cable in robot.cable_names),
+    )
     covariance = to_robot @ best.covariance @ to_robot.T
     return ParameterEstimate(
-        names=tuple(names),
+        names=names,
         value=np.concatenate(
             [best.shared[problem.exits].ravel(), radius, best.shared[problem.buildups]]
         ),

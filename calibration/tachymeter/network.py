@@ -164,9 +164,11 @@ class Network:
             target for target in targets
             if any(shot.target == target and shot.sighting.on_pulley for shot in shots)
         ]  # fmt: skip
-        keys = [self.keys[f"setup {name}"]]
-        keys += [self.keys[f"point {target}"] for target in targets]
-        keys += [self.keys[f"swivel {target}"] for target in swivels]
+        keys = [
+            self.keys[f"setup {name}"],
+            *(self.keys[f"point {target}"] for target in targets),
+            *(self.keys[f"swivel {target}"] for target in swivels),
+        ]
 
         def error(_: Any, values: Any, jacobians: list[Array] | None) -> Array:
             station = values.atVector(keys[0])

@@ -88,8 +88,10 @@ class Region:
         if not self.verdicts.inside.any():
             text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"
         else:
-            text = f"{name} can hold its platform in {share} of the box; "
-            text += f"where that ends, mostly {self._words(True)}"
+            text = (
+                f"{name} can hold its platform in {share} of the box; "
+                f"where that ends, mostly {self._words(True)}"
+            )
         if self.unknown:
             text += f"; {self.unknown} positions did not converge and count as outside"
         return text
@@ -196,8 +198,9 @@ def _choose(records: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
     values = {}
     for field in fields(records[0]):
         parts = [getattr(record, field.name) for record in records]
-        if isinstance(parts[0], np.ndarray):
-            values[field.name] = np.stack(parts)[chosen, rows]
-        else:
-            values[field.name] = _choose(parts, chosen)
+        values[field.name] = (
+            np.stack(parts)[chosen, rows]
+            if isinstance(parts[0], np.ndarray)
+            else _choose(parts, chosen)
+        )
     return type(records[0])(**values)
