@@ -81,8 +81,7 @@ class SimulatorEstimator:
     def __init__(self, robot: Robot, settings: SimulatorSettings) -> None:
         self._robot = robot
         self._settings = settings
-        known = robot.length_delay or 0.0
-        self._delay = known if settings.delay is None else settings.delay
+        self._delay = (robot.length_delay or 0.0) if settings.delay is None else settings.delay
         check_not_negative("delay", self._delay, "s")
         self._simulator: Simulator | None = None
         self._record: SimulationRecord | None = None

@@ -343,9 +343,12 @@ class Simulator:
             indices = np.flatnonzero(indices)
         whole = indices.ndim == 1 and len(indices) > 0 and np.issubdtype(indices.dtype, np.integer)
         allowed = f"indices below {self._size}, each once, or a mask of shape ({self._size},)"
-        if not whole or indices.min() < 0 or indices.max() >= self._size:
-            raise InvalidField("worlds", worlds, allowed)
-        if len(np.unique(indices)) < len(indices):
+        if (
+            not whole
+            or indices.min() < 0
+            or indices.max() >= self._size
+            or len(np.unique(indices)) < len(indices)
+        ):
             raise InvalidField("worlds", worlds, allowed)
         return indices.astype(np.int32)
 

@@ -84,8 +84,7 @@ class Tracker:
         self._filter = DynamicFilter(self._model, settings)
         self._rest = RestStart(robot, settings)
         self._short = STRAIGHT_TIME_STEPS * settings.time_step
-        known = robot.length_delay or 0.0
-        self._delay = known if settings.delay is None else settings.delay
+        self._delay = (robot.length_delay or 0.0) if settings.delay is None else settings.delay
 
     def start(
         self, measurement: Measurement, row: int, speed: float | None = None,

@@ -168,10 +168,11 @@ def _beliefs(
             command = Command(
                 time=measurement.time, unstrained_length=measurement.unstrained_length
             )
-            if not beliefs:
-                belief = estimator.reset(measurement)
-            else:
-                belief = estimator.update(beliefs[-1][0], command, measurement)
+            belief = (
+                estimator.update(beliefs[-1][0], command, measurement)
+                if beliefs
+                else estimator.reset(measurement)
+            )
             beliefs.append((belief, measurement))
     return beliefs
 
