@@ -62,7 +62,9 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
         *point_names("anchor_points", cable_names),
         *(f"length_offset[{c}]" for c in cable_names),
         *(f"length_scale[{c}]" for c in cable_names),
-        *("length_delay", "pose_tilt.x", "pose_tilt.y"),
+        "length_delay",
+        "pose_tilt.x",
+        "pose_tilt.y",
         *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []),
     )
 
