@@ -224,8 +224,7 @@ class InputShaping:
         sides = [np.linspace(low, high, WORKSPACE_GRID_POSES) for low, high in box]
         poses = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
         rest = statics.inverse_kinematics(self._robot, poses)
-        usable = rest.converged & rest.stable
-        poses = np.vstack([self._robot.home_position, poses[usable]])
+        poses = np.vstack([self._robot.home_position, poses[rest.converged & rest.stable]])
         delays = self._delays(
             sway_modes(self._robot, rest_at(self._robot, poses, CONTROLLER_NAME), self.modes)
         )
@@ -242,5 +241,4 @@ def _slow_modes(robot: Robot, frequency_max: float) -> int:
     if not rest.converged[0]:
         reason = statics.STATUS_REASONS[rest.status[0]]
         raise UnreachableReference(f"input_shaping: {robot.name} at home: {reason}")
-    frequency = sway_modes(robot, rest, 6).frequency[0]
-    return int((frequency < frequency_max).sum())
+    return int((sway_modes(robot, rest, 6).frequency[0] < frequency_max).sum())

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.solve_record import SolveRecord, empty_record
+from baselines.solve_record import SolveRecord, belief_at_home
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement, Pose
@@ -74,13 +74,7 @@ class KinematicSolver:
             raise InvalidField(
                 "measurement.pose", None, "a pose, since the solver's seed is 'pose'"
             )
-        size = len(measurement.unstrained_length)
-        home = Belief(
-            time=measurement.time,
-            position=np.tile(self._robot.home_position, (size, 1)),
-            rotation=np.tile(self._robot.home_rotation, (size, 1, 1)),
-            memory=empty_record(size),
-        )
+        home = belief_at_home(self._robot, measurement)
         return self._solve(home, measurement, measurement.pose if self._by_pose else None)
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:

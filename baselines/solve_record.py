@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Belief, Measurement
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,12 +37,18 @@ class SolveRecord:
     solution: Any = None
 
 
-def empty_record(size: int) -> SolveRecord:
-    """Return the record before the first solve of a batch."""
-    return SolveRecord(
-        converged=np.zeros(size, dtype=np.bool_),
-        residual=np.zeros(size),
-        updates=0,
-        failures=np.zeros(size, dtype=np.int64),
-        restarts=np.zeros(size, dtype=np.int64),
+def belief_at_home(robot: Robot, measurement: Measurement) -> Belief:
+    """Return the belief before the first solve of a batch: at home, nothing solved yet."""
+    size = len(measurement.unstrained_length)
+    return Belief(
+        time=measurement.time,
+        position=np.tile(robot.home_position, (size, 1)),
+        rotation=np.tile(robot.home_rotation, (size, 1, 1)),
+        memory=SolveRecord(
+            converged=np.zeros(size, dtype=np.bool_),
+            residual=np.zeros(size),
+            updates=0,
+            failures=np.zeros(size, dtype=np.int64),
+            restarts=np.zeros(size, dtype=np.int64),
+        ),
     )

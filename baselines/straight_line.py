@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from baselines.solve_record import SolveRecord, empty_record
+from baselines.solve_record import SolveRecord, belief_at_home
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable.straight_line import forward_kinematics
@@ -55,13 +55,7 @@ class StraightLine:
 
     def reset(self, measurement: Measurement) -> Belief:
         """Start at home and fit the first lengths."""
-        size = len(measurement.unstrained_length)
-        home = Belief(
-            time=measurement.time,
-            position=np.tile(self._robot.home_position, (size, 1)),
-            rotation=np.tile(self._robot.home_rotation, (size, 1, 1)),
-            memory=empty_record(size),
-        )
+        home = belief_at_home(self._robot, measurement)
         return self._fit(home, measurement)
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:

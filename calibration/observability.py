@@ -49,14 +49,13 @@ class Observability:
 
     def sentences(self) -> list[str]:
         """Return what people should know before they trust the numbers."""
-        lines = [
+        return [
             f"the data say something of {self.rank} of {self.parameters} combinations of the "
             f"parameters, and more than was known before of {self.rank - len(self.weak)}"
-            + (f", condition {self.condition:.3g}" if np.isfinite(self.condition) else "")
+            + (f", condition {self.condition:.3g}" if np.isfinite(self.condition) else ""),
+            *_some("the data say nothing about", self.blind),
+            *_some("known from before rather than from the data:", self.weak),
         ]
-        lines += _some("the data say nothing about", self.blind)
-        lines += _some("known from before rather than from the data:", self.weak)
-        return lines
 
     def data(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON."""

@@ -178,6 +178,5 @@ def option_words(options: object, skipped: Sequence[str]) -> list[str]:
     for field in fields(options):  # type: ignore[arg-type]
         value = getattr(options, field.name)
         if field.name not in skipped and value != field.default:
-            words += [f"--{field.name.replace('_', '-')}"]
-            words += [] if value is True else [str(value)]
+            words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
     return words

@@ -186,9 +186,7 @@ def _decoded(node: Any, arrays: Arrays, packages: Collection[str]) -> Any:
         parts = _decoded(node["tuple"], arrays, packages)
         named = tuple if node["class"] is None else _class(node["class"], packages)
         return tuple.__new__(named, parts)
-    if kind == "dataclass":
-        return _dataclass(node, arrays, packages)
-    return _array(kind, node, arrays)
+    return _dataclass(node, arrays, packages) if kind == "dataclass" else _array(kind, node, arrays)
 
 
 def _array(kind: str, node: dict[str, Any], arrays: Arrays) -> Any:

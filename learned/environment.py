@@ -404,8 +404,7 @@ def make_actions(
 
 def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
     """Return how far ahead of the target lengths are aimed [s]: the lag, less half a step."""
-    period = settings.path.period or 0.0
-    return max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
+    return max(0.0, float(robot.winch_lag.mean()) - 0.5 * (settings.path.period or 0.0))
 
 
 def _worlds(

@@ -40,8 +40,9 @@ class DecayingNoise(VectorizedActionNoise):
         done = min(max(self.progress, 0.0), 1.0)
         sigma = self.settings.start + done * (self.settings.end - self.settings.start)
         drawn = sigma * np.sqrt(NOISE_REVERSION * (2.0 - NOISE_REVERSION))
-        self._value = (1.0 - NOISE_REVERSION) * self._value
-        self._value += drawn * self._rng.standard_normal(self._value.shape)
+        self._value = (1.0 - NOISE_REVERSION) * self._value + drawn * self._rng.standard_normal(
+            self._value.shape
+        )
         return self._value.astype(np.float32)
 
     def reset(self, indices: Iterable[int] | None = None) -> None:

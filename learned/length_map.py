@@ -125,8 +125,7 @@ class LengthMap:
             buffers.put("offset", ZERO_VECTOR if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
-            values: Array = buffers.get(wanted)
-            return values
+            return buffers.get(wanted)
 
     def _allocate(self, size: int) -> Buffers:
         """Allocate the buffers of the kernel, with coefficients and robot in them."""
@@ -171,5 +170,4 @@ def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
     moment = np.cross(center[:, None, :], np.eye(3)).transpose(0, 2, 1)  # columns c x e_k
     force = np.broadcast_to(np.eye(3), moment.shape)
     wrench = robot.mass * np.concatenate([force, moment], axis=1)
-    motion = np.linalg.solve(rest.stiffness, wrench)[:, :3]
-    return np.asarray(motion, dtype=np.float64)
+    return np.asarray(np.linalg.solve(rest.stiffness, wrench)[:, :3], dtype=np.float64)

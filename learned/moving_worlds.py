@@ -63,8 +63,7 @@ class MovingSettings:
         for name in ESTIMATOR_FIELDS:
             usual = getattr(MovingSettings, name)
             if self.estimator is None and getattr(self, name) != usual:
-                allowed = f"{usual!r}, or an estimator"
-                raise InvalidField(name, repr(getattr(self, name)), allowed)
+                raise InvalidField(name, repr(getattr(self, name)), f"{usual!r}, or an estimator")
 
     def without_estimator(self) -> MovingSettings:
         """Return the settings with beliefs that err by a constant."""

@@ -164,8 +164,7 @@ class PolicyController:
             due, due_velocity = reference.position[:, 0], reference.velocity[:, 0]
             error, environment = belief.position - due, self._environment
             mean_error = fading(mean_error, error, self.period, environment.memory)
-            memory = environment.correction_memory
-            lasting_error = fading(lasting_error, error, self.period, memory)
+            lasting_error = fading(lasting_error, error, self.period, environment.correction_memory)
         return ObservationInputs(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
@@ -231,9 +230,7 @@ def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     """Return consecutive rows as a slice, and others as they are."""
     if len(rows) == 0:
         return slice(0)
-    if (np.diff(rows) == 1).all():
-        return slice(int(rows[0]), int(rows[-1]) + 1)
-    return rows
+    return slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def check_robot(robot: Robot, policy: Policy) -> None:
@@ -293,10 +290,7 @@ def check_near(look: ObservationInputs, lost: float) -> None:
 
 def list_policies() -> tuple[str, ...]:
     """Return the names of the policies that come with the toolkit, sorted."""
-    names = [entry.name for entry in _folder().iterdir()]
-    return tuple(
-        sorted(name.removesuffix(POLICY_SUFFIX) for name in names if name.endswith(POLICY_SUFFIX))
-    )
+    return tuple(sorted(entry.stem for entry in _folder().glob(f"*{POLICY_SUFFIX}")))
 
 
 def policy_of(robot: Robot) -> str:

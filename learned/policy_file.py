@@ -236,15 +236,16 @@ def _model(layers: Layers, activation: str) -> ModelProto:
     tensors = []
     value = "observation"
     for k, (weight, bias) in enumerate(layers):
-        tensors.append(numpy_helper.from_array(weight, f"weight_{k}"))
-        tensors.append(numpy_helper.from_array(bias, f"bias_{k}"))
         inputs = [value, f"weight_{k}", f"bias_{k}"]
+        tensors += [
+            numpy_helper.from_array(weight, f"weight_{k}"),
+            numpy_helper.from_array(bias, f"bias_{k}"),
+        ]
         nodes.append(helper.make_node("Gemm", inputs, [f"linear_{k}"], transB=1))
         last = k == len(layers) - 1
         value = "action" if last else f"hidden_{k}"
         if last or activation == "relu":
-            operation = "Tanh" if last else "Relu"
-            nodes.append(helper.make_node(operation, [f"linear_{k}"], [value]))
+            nodes.append(helper.make_node("Tanh" if last else "Relu", [f"linear_{k}"], [value]))
         else:  # silu
             nodes.append(helper.make_node("Sigmoid", [f"linear_{k}"], [f"gate_{k}"]))
             nodes.append(helper.make_node("Mul", [f"linear_{k}", f"gate_{k}"], [value]))

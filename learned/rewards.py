@@ -184,8 +184,7 @@ def _distance(transition: Transition, reward: Reward) -> Array:
 
 
 def _sag(transition: Transition, reward: Reward) -> Array:
-    difference = np.abs(transition.length - transition.straight_position)
-    return sag_reward(difference.mean(axis=1))
+    return sag_reward(np.abs(transition.length - transition.straight_position).mean(axis=1))
 
 
 def _action_ratio(transition: Transition, reward: Reward) -> Array:
@@ -195,8 +194,7 @@ def _action_ratio(transition: Transition, reward: Reward) -> Array:
 
 
 def _deviation(transition: Transition, reward: Reward) -> Array:
-    difference = np.abs(transition.straight_target - transition.asked)
-    return deviation_reward(difference.mean(axis=1))
+    return deviation_reward(np.abs(transition.straight_target - transition.asked).mean(axis=1))
 
 
 def _fit(transition: Transition, reward: Reward) -> Array:

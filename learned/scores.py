@@ -83,9 +83,11 @@ class PolicyScores:
             seen = self.tension[valid]
             slack = seen < robot.tension_min - TENSION_TOLERANCE_N
             overload = seen > robot.tension_max + TENSION_TOLERANCE_N
-            data["slack_share"] = _mean(np.any(slack, axis=1))
-            data["overload_share"] = _mean(np.any(overload, axis=1))
-            data["tension_range_N"] = [_percentile(seen, 0), _percentile(seen, 100)]
+            data |= {
+                "slack_share": _mean(np.any(slack, axis=1)),
+                "overload_share": _mean(np.any(overload, axis=1)),
+                "tension_range_N": [_percentile(seen, 0), _percentile(seen, 100)],
+            }
         return data
 
 

@@ -130,8 +130,7 @@ class Sensing:
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes."""
-        sensors = self._sensors.state()
-        return {"sensors": sensors, "beliefs": list(self._beliefs), "now": self._now}
+        return {"sensors": self._sensors.state(), "beliefs": list(self._beliefs), "now": self._now}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there; the simulator has been restored before."""

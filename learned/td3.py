@@ -110,10 +110,9 @@ def _relabelling(
     """Return the arguments of the relabelling buffer; empty without relabelling."""
     if stage.td3.relabelled == 0.0:
         return {}
-    reward = stage.environment.reward
     return {
         "share": stage.td3.relabelled, "target": target,
-        "scales": environment.environment.scales, "fit_scale": reward.fit_scale,
+        "scales": environment.environment.scales, "fit_scale": stage.environment.reward.fit_scale,
         "span": span,
     }  # fmt: skip
 

@@ -148,9 +148,7 @@ def train(
             shutil.rmtree(folder, ignore_errors=True)
             remove_empty(made[1:])  # another training may have begun in one of them
         raise
-    if not run.go(stop_after):
-        return None
-    return run.export()
+    return run.export() if run.go(stop_after) else None
 
 
 def _finished(job: TrainingJob, folder: Path) -> bool:

@@ -73,8 +73,7 @@ class TrainingRecord:
 
     def data(self) -> dict[str, Any]:
         """Return all of it, as JSON holds it."""
-        history = {"commits": list(self.commits), "started_from": self.started_from}
-        return self.settings | history
+        return self.settings | {"commits": list(self.commits), "started_from": self.started_from}
 
     def as_start(self, checkpoint: str, steps: int, networks: Iterable[Any]) -> dict[str, Any]:
         """Return what a later stage keeps of this one when it starts from its networks.
@@ -110,10 +109,9 @@ def read_record(folder: Path) -> TrainingRecord | None:
     with refusing(path, "the settings of a training"):
         settings = dict(json.loads(path.read_text(encoding="utf-8")))
         history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
-        commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
         return TrainingRecord(
             settings=with_later_fields(settings),
-            commits=tuple(commits),
+            commits=tuple(history["commits"] or [history["commit"] or UNKNOWN_COMMIT]),
             started_from=history["started_from"],
         )
 

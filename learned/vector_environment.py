@@ -58,8 +58,7 @@ class CableVecEnv(VecEnv):
             }
         self._total[done] = 0.0
         self._length[done] = 0
-        reward = result.reward.astype(np.float32)
-        return result.observation.astype(np.float32), reward, done, infos
+        return result.observation.astype(np.float32), result.reward.astype(np.float32), done, infos
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes."""

@@ -27,8 +27,7 @@ def as_seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
     if not np.issubdtype(seeds.dtype, np.integer) or (seeds < 0).any():
         raise InvalidField("seed", repr(seed), "a whole number >= 0, or one for each world")
     if seeds.ndim == 0:
-        words = np.random.SeedSequence(int(seeds)).generate_state(size)
-        return (words % 2**31).astype(np.int64)
+        return (np.random.SeedSequence(int(seeds)).generate_state(size) % 2**31).astype(np.int64)
     if seeds.shape != (size,) or (seeds >= 2**31).any():
         allowed = f"one number, or {size} below 2^31, one for each world"
         raise InvalidField("seed", f"shape {seeds.shape}", allowed)
@@ -38,8 +37,7 @@ def as_seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
 def check_rows(name: str, value: Array, count: int) -> None:
     """Refuse a number of rows that is not the number of worlds."""
     if len(value) != count:
-        allowed = f"{count} rows, one for each world"
-        raise InvalidField(name, f"shape {value.shape}", allowed)
+        raise InvalidField(name, f"shape {value.shape}", f"{count} rows, one for each world")
 
 
 def check_lengths(name: str, value: Array) -> None:

@@ -81,8 +81,7 @@ class SimulatorEstimator:
     def __init__(self, robot: Robot, settings: SimulatorSettings) -> None:
         self._robot = robot
         self._settings = settings
-        known = robot.length_delay or 0.0
-        self._delay = known if settings.delay is None else settings.delay
+        self._delay = (robot.length_delay or 0.0) if settings.delay is None else settings.delay
         check_not_negative("delay", self._delay, "s")
         self._simulator: Simulator | None = None
         self._record: SimulationRecord | None = None
@@ -170,8 +169,7 @@ class SimulatorEstimator:
             late = f"{measurement.time.min()} s after {self._time.max()} s"
             raise InvalidField("measurement.time", late, "later than the last one")
         if np.ptp(step) > STEP_DIFFERENCE_MAX_S:
-            allowed = "the same for all robots"
-            raise InvalidField("measurement.time", f"steps of {step} s", allowed)
+            raise InvalidField("measurement.time", f"steps of {step} s", "the same for all robots")
         return float(step[0])
 
     def _start_at_rest(self, which: NDArray[np.bool_], lengths: Array) -> NDArray[np.bool_]:

@@ -55,14 +55,12 @@ class ParticleDynamics:
             self.advance = Advance(xpbd_kernels.advance, size, before, [], device)
             return
         # On a GPU each cable has a thread of its own, in powers of two that make up a warp.
-        on_host = wp.get_device(device).is_cpu
-        lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
+        lanes = 1 if wp.get_device(device).is_cpu else min(32, 1 << (n - 1).bit_length())
         self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
     def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
         """Allocate the `Chains` struct; worlds that are computed in turn share their scratch."""
-        on_host = wp.get_device(self._device).is_cpu
-        rows = 1 if on_host else size
+        rows = 1 if wp.get_device(self._device).is_cpu else size
         out = particle_kernels.Chains()
         nodes, scratch = (size, n, segments - 1), (rows, n, segments)
         for name, shape, kind in (

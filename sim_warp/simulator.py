@@ -129,8 +129,7 @@ class Simulator:
         self._plants = upload_plants(
             self.fleet, device, winch or WinchSettings(), float(force), float(gust)
         )
-        seeds = self.seeds.astype(np.int32)
-        self._worlds = allocate_worlds(size, self.fleet.n, device, seeds)
+        self._worlds = allocate_worlds(size, self.fleet.n, device, self.seeds.astype(np.int32))
         command = self._worlds.command  # on the CPU numpy writes to it directly, which is faster
         self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
         self._dynamics = self._make_dynamics(float(cable_drag), iterations)
@@ -344,9 +343,12 @@ class Simulator:
             indices = np.flatnonzero(indices)
         whole = indices.ndim == 1 and len(indices) > 0 and np.issubdtype(indices.dtype, np.integer)
         allowed = f"indices below {self._size}, each once, or a mask of shape ({self._size},)"
-        if not whole or indices.min() < 0 or indices.max() >= self._size:
-            raise InvalidField("worlds", worlds, allowed)
-        if len(np.unique(indices)) < len(indices):
+        if (
+            not whole
+            or indices.min() < 0
+            or indices.max() >= self._size
+            or len(np.unique(indices)) < len(indices)
+        ):
             raise InvalidField("worlds", worlds, allowed)
         return indices.astype(np.int32)
 
@@ -385,8 +387,7 @@ class Simulator:
                 statics.STATUS_REASONS[rest.status[k]] if not rest.converged[k] else "not stable"
             )
             robot = f"the robot of world {which[k]}" if self._size > 1 else "the robot"
-            allowed = f"where {robot} can rest ({reason})"
-            raise InvalidField(f"{name}[{k}]", given[k], allowed)
+            raise InvalidField(f"{name}[{k}]", given[k], f"where {robot} can rest ({reason})")
         return rest
 
 

@@ -84,8 +84,7 @@ class Tracker:
         self._filter = DynamicFilter(self._model, settings)
         self._rest = RestStart(robot, settings)
         self._short = STRAIGHT_TIME_STEPS * settings.time_step
-        known = robot.length_delay or 0.0
-        self._delay = known if settings.delay is None else settings.delay
+        self._delay = (robot.length_delay or 0.0) if settings.delay is None else settings.delay
 
     def start(
         self, measurement: Measurement, row: int, speed: float | None = None,
@@ -115,9 +114,8 @@ class Tracker:
         if track.state is None or gap > self._settings.gap_max:
             return self._hung_anew(track, measurement, row)
         state = track.state
-        keep = min(state.time, now)
         readings = track.readings.taken(
-            when, length, self._robot, self._settings.reading_jump, keep
+            when, length, self._robot, self._settings.reading_jump, min(state.time, now)
         )
         track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
@@ -162,8 +160,7 @@ class Tracker:
     def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Move the filter to the last known lengths, then the estimate to now."""
         now = float(measurement.time[row])
-        known = min(now, float(track.readings.time[-1]))
-        track = self._fused(track, known, measurement, row)
+        track = self._fused(track, min(now, float(track.readings.time[-1])), measurement, row)
         state = track.state
         assert state is not None
         if now - state.time > READING_INTERVAL_MIN_S:

@@ -157,8 +157,7 @@ class KsEkf:
             heard = before.taken(reading.time, reading.lengths, self._robot, jump, reading.time)
             record = self._slid(replace(record, encoders=heard), reading.time, now)
             if heard.corrected > before.corrected:  # what was believed came from wrong lengths
-                since = reading.time - self._settings.misfit_time
-                record = replace(record, misfit_since=since)
+                record = replace(record, misfit_since=reading.time - self._settings.misfit_time)
             if heard.outliers is None and np.array_equal(heard.slid, record.slid):
                 good.append(replace(reading, lengths=reading.lengths - record.slid))
             else:
@@ -172,8 +171,7 @@ class KsEkf:
         carried = record.state.inertial and self._is_carried(record.state, now)
         if not beyond.any() or (carried and not lasts):
             return record
-        state = record.state.slipped(beyond != 0.0)
-        return replace(record, state=state, slid=record.encoders.slid)
+        return replace(record, state=record.state.slipped(beyond != 0.0), slid=record.encoders.slid)
 
     def _is_carried(self, state: KsEkfState, now: float) -> bool:
         """Return whether inertial samples reach up to now."""

@@ -30,9 +30,8 @@ class TimedLengths:
 def reading_of(measurement: Measurement, lead: float) -> TimedLengths:
     """Return the lengths of a measurement of one robot, which lead it by `lead` [s]."""
     rate, lengths = measurement.length_rate, measurement.unstrained_length[0]
-    taken = measurement.time if rate is None else rate.time
     return TimedLengths(
-        time=float(taken[0]) + lead,
+        time=float((measurement.time if rate is None else rate.time)[0]) + lead,
         lengths=lengths,
         rates=np.zeros_like(lengths) if rate is None else rate.value[0],
     )

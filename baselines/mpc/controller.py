@@ -92,8 +92,7 @@ class Mpc:
                 f"allowed: {low.round(3)} to {high.round(3)} m, outside pulleys"
             )
         self._excess = np.zeros(self._robot.n)
-        tension = self._targets.at(position)
-        self._update_excess(position, rotation, tension, share=1.0)
+        self._update_excess(position, rotation, self._targets.at(position), share=1.0)
         self._winches.reset(geometry.length + self._excess)
         self._ready = True
 

@@ -154,8 +154,7 @@ class Observer:
 
     def _mass(self, geometry: Geometry, rotation: Array) -> Array:
         """Return the mass matrix, shape (6, 6)."""
-        mass = mass_matrix(self.load.robot, rotation[None], geometry.length[None])
-        return np.asarray(mass[0])
+        return np.asarray(mass_matrix(self.load.robot, rotation[None], geometry.length[None])[0])
 
     def _onto(
         self, length: Array, position: Array, rotation: Array, geometry: Geometry

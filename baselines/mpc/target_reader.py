@@ -88,8 +88,7 @@ class TargetReader:
         self._where = ends
         guess = None
         if self._robot.n < 6:
-            level = np.tile(self._robot.home_rotation, (2, 1, 1))
-            guess = Pose(position=ends, rotation=level)
+            guess = Pose(position=ends, rotation=np.tile(self._robot.home_rotation, (2, 1, 1)))
         rest = statics.inverse_kinematics(self._robot, ends, guess=guess)
         good = rest.converged[:, None]
         self._tension = np.where(good, rest.tension, self._tension)

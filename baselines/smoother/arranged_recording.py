@@ -209,10 +209,9 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
         & (when >= time[0] - READING_INTERVAL_MIN_S)
         & (when <= time[-1] + READING_INTERVAL_MIN_S)
     )
-    keys = nearest(time, when[rows])
     return {
         int(key): (run.poses.position[row], run.poses.rotation[row])
-        for key, row in zip(keys, rows, strict=True)
+        for key, row in zip(nearest(time, when[rows]), rows, strict=True)
     }
 
 

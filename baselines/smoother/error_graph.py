@@ -221,5 +221,4 @@ def _ends(time: Array, lag: float) -> list[int]:
 
 def _whitening(covariance: Array) -> Array:
     """Return W with W^T W the inverse of a covariance."""
-    root = np.linalg.cholesky(covariance)
-    return np.asarray(np.linalg.inv(root))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

@@ -53,24 +53,28 @@ def recording_of(
 
 def table_of(result: Smoothed) -> dict[str, Array]:
     """Return all estimates at each sample, by columns with units."""
-    columns = {"time_s": result.time}
-    columns |= _columns("position_{}_m", result.position)
-    columns |= dict(zip(_QUATERNION_COLUMNS, _quaternion(result).T, strict=True))
-    columns |= _columns("velocity_{}_m_per_s", result.twist[:, :3])
-    columns |= _columns("angular_velocity_{}_rad_per_s", result.twist[:, 3:])
     sigma = result.sigma
-    columns |= _columns("position_sigma_{}_m", sigma[:, :3])
-    columns |= _columns("rotation_sigma_{}_rad", sigma[:, 3:6])
-    columns |= _columns("velocity_sigma_{}_m_per_s", sigma[:, 6:9])
-    columns |= _columns("angular_velocity_sigma_{}_rad_per_s", sigma[:, 9:])
+    columns = {
+        "time_s": result.time,
+        **_columns("position_{}_m", result.position),
+        **dict(zip(_QUATERNION_COLUMNS, _quaternion(result).T, strict=True)),
+        **_columns("velocity_{}_m_per_s", result.twist[:, :3]),
+        **_columns("angular_velocity_{}_rad_per_s", result.twist[:, 3:]),
+        **_columns("position_sigma_{}_m", sigma[:, :3]),
+        **_columns("rotation_sigma_{}_rad", sigma[:, 3:6]),
+        **_columns("velocity_sigma_{}_m_per_s", sigma[:, 6:9]),
+        **_columns("angular_velocity_sigma_{}_rad_per_s", sigma[:, 9:]),
+    }
     for i in range(12):
         for j in range(i, 12):
             columns[f"covariance_{i + 1:02d}_{j + 1:02d}"] = result.covariance[:, i, j]
     columns |= _columns("wind_{}_N", result.wind)
     for i in range(result.length_bias.shape[1]):
-        columns[f"length_bias_{i + 1:02d}_m"] = result.length_bias[:, i]
-        columns[f"length_bias_sigma_{i + 1:02d}_m"] = result.length_bias_sigma[:, i]
-        columns[f"tension_{i + 1:02d}_N"] = result.tension[:, i]
+        columns |= {
+            f"length_bias_{i + 1:02d}_m": result.length_bias[:, i],
+            f"length_bias_sigma_{i + 1:02d}_m": result.length_bias_sigma[:, i],
+            f"tension_{i + 1:02d}_N": result.tension[:, i],
+        }
     return columns
 
 
@@ -83,8 +87,7 @@ def _columns(name: str, values: Array) -> dict[str, Array]:
 
 def _quaternion(result: Smoothed) -> Array:
     """Return the rotations as quaternions w x y z, shape (N, 4)."""
-    poses = PoseSamples.from_rotation(result.time, result.position, result.rotation)
-    return poses.quaternion
+    return PoseSamples.from_rotation(result.time, result.position, result.rotation).quaternion
 
 
 def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:

@@ -97,11 +97,10 @@ class Smoothed:
     def told(self) -> dict[str, bool]:
         """True for what the data determined: its deviation is clearly below the assumed one."""
         known = self.settings.dynamics
-        bias = np.sqrt((self.length_bias_sigma**2).mean())
         pairs = {
             "mass": (self.mass_sigma, known.mass * self.robot.mass),
             "center_of_mass": (self.center_sigma.max(), known.center_of_mass),
-            "length_bias": (bias, known.length_bias),
+            "length_bias": (np.sqrt((self.length_bias_sigma**2).mean()), known.length_bias),
             "wind": (self.wind_sigma.max(), known.wind_force),
             "delay": (self.delay_sigma, self.settings.delay),
         }

@@ -78,16 +78,19 @@ def run(options: Options) -> CommandResult:
     )
     print()
     _print(result)
-    command = ["carosac", "identify", options.recording, "--robot", robot_source.name]
-    command += ["--train", f"{train[0]}:{train[1]}"]
-    command += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
+    command = [
+        "carosac", "identify", options.recording, "--robot", robot_source.name,
+        "--train", f"{train[0]}:{train[1]}",
+        *([] if test is None else ["--test", f"{test[0]}:{test[1]}"]),
+        *option_words(options, COMMAND_OPTIONS),
+    ]  # fmt: skip
     files = write_report(
         folder,
         f"Identification of {result.robot.name}",
         result,
         report_content(result, recording),
         provenance=_provenance(options, recording, robot_source),
-        command=command + option_words(options, COMMAND_OPTIONS),
+        command=command,
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     name = Path(options.recording).name

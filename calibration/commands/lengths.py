@@ -137,8 +137,11 @@ def run(options: Options) -> CommandResult:
     )
     _print(result, suggested)
     _write(options, result, suggested, robot_source.name)
-    data = {"robot": robot_source.name, **result.data()}
-    data["suggested_poses"] = suggested.data() if suggested is not None else []
+    data = {
+        "robot": robot_source.name,
+        **result.data(),
+        "suggested_poses": suggested.data() if suggested is not None else [],
+    }
     return CommandResult(data, status=1 if result.warnings else 0)
 
 

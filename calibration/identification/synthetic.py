@@ -104,8 +104,7 @@ def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> 
         rest=REST_TIME_S,
     )  # fmt: skip
     time = np.arange(0.0, path.duration + REST_TIME_S, COMMAND_PERIOD_S)
-    position = path.sample(np.minimum(time, path.duration)).position
-    rest = statics.inverse_kinematics(robot, position)
+    rest = statics.inverse_kinematics(robot, path.sample(np.minimum(time, path.duration)).position)
     assert rest.converged.all(), "the workspace of the robot holds the path"
     return points[0], rest.unstrained_length
 

@@ -85,8 +85,7 @@ def calibrate_lengths(
 
 def _spread(count: int) -> NDArray[np.int64]:
     """Return the numbers of the samples that are used."""
-    kept = min(count, SAMPLES_MAX)
-    return np.linspace(0, count - 1, kept).round().astype(np.int64)
+    return np.linspace(0, count - 1, min(count, SAMPLES_MAX)).round().astype(np.int64)
 
 
 def _check_samples(problem: LengthProblem, robot: Robot) -> None:
@@ -223,8 +222,7 @@ def _tilted(unknowns: LengthUnknowns, gravity: Gravity | None) -> list[str]:
 def _before(problem: LengthProblem, n: int, relative: bool) -> Array:
     """Return the residuals of the robot before, at the same samples and delay, shape (S, n)."""
     start = problem.unknowns.prior.mean.copy()
-    delay = problem.unknowns.prior.rows("length_delay")
-    start[delay] = problem.delay
+    start[problem.unknowns.prior.rows("length_delay")] = problem.delay
     residual = problem.linear(start).residual[:, :n]
     return np.asarray(residual - np.median(residual, axis=0) if relative else residual)
 
@@ -250,8 +248,7 @@ def _warnings(
             f"standard deviations, such as {names}: their priors are too tight, or the model lacks "
             "an effect."
         )
-    share = outlier.mean(axis=0)
-    for name, part in zip(cable_names, share, strict=True):
+    for name, part in zip(cable_names, outlier.mean(axis=0), strict=True):
         if part > OUTLIER_SHARE_MAX:
             lines.append(f"{part:.0%} of the readings of cable '{name}' were left out as blunders.")
     return lines

@@ -125,8 +125,7 @@ def predict(
         by_center = np.concatenate([by_center, held.by_center], axis=1)
         by_gravity = np.concatenate([by_gravity, held.by_gravity], axis=1)
     by_tilt = _by_tilt(by_pose, poses) if anchored else -by_gravity
-    blocks = [by_cable, by_pose @ poses.twist[..., None], by_tilt]
-    blocks += [by_center] if n < 6 else []
+    blocks = (by_cable, by_pose @ poses.twist[..., None], by_tilt, *([by_center] if n < 6 else []))
     return PredictedReadings(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
 
 

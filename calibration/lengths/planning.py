@@ -136,9 +136,8 @@ def _gains(
 ) -> tuple[Array, Array]:
     """Return the derivatives (C, m, k) and covariances (C, m, m) of the candidates."""
     with_balance = robot.n < 6
-    level = replace(robot, pose_rotation=None)
     predicted = predict(
-        level,
+        replace(robot, pose_rotation=None),
         rest,
         np.zeros((len(rest.position), robot.n)),
         with_balance=with_balance,

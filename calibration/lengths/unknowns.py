@@ -57,11 +57,16 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
         cable_names: Of the robot.
         center: True if the centre of mass is among them.
     """
-    names = point_names("exit_points", cable_names) + point_names("anchor_points", cable_names)
-    names += [f"length_offset[{c}]" for c in cable_names]
-    names += [f"length_scale[{c}]" for c in cable_names]
-    names += ["length_delay", "pose_tilt.x", "pose_tilt.y"]
-    return (*names, *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []))
+    return (
+        *point_names("exit_points", cable_names),
+        *point_names("anchor_points", cable_names),
+        *(f"length_offset[{c}]" for c in cable_names),
+        *(f"length_scale[{c}]" for c in cable_names),
+        "length_delay",
+        "pose_tilt.x",
+        "pose_tilt.y",
+        *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []),
+    )
 
 
 def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> LengthUnknowns:

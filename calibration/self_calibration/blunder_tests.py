@@ -140,8 +140,7 @@ def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) 
     where, white, own, gain = _by_lengths(problem, solution, trust)
     sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
     slope = white.by_own
-    n = slope.shape[1]
-    rest = np.eye(n) - slope @ gain
+    rest = np.eye(slope.shape[1]) - slope @ gain
     by_shared = rest @ white.by_shared
     covariance = rest + sign * (by_shared @ shared @ by_shared.swapaxes(1, 2))
     closure = np.einsum("kij,kj->ki", rest, white.residual)

@@ -113,12 +113,14 @@ def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstim
     to_robot = np.vstack([exits, slope, buildup])
     prior = problem.prior.covariance
     from_before = np.vstack([exits, slope_before, buildup])
-    names = [*problem.prior.names[: problem.exits.size]]
-    names += [f"drum_radius[{cable}]" for cable in robot.cable_names]
-    names += [f"drum_buildup[{cable}]" for cable in robot.cable_names]
+    names = (
+        *problem.prior.names[: problem.exits.size],
+        *(f"drum_radius[{cable}]" for cable in robot.cable_names),
+        *(f"drum_buildup[{cable}]" for cable in robot.cable_names),
+    )
     covariance = to_robot @ best.covariance @ to_robot.T
     return ParameterEstimate(
-        names=tuple(names),
+        names=names,
         value=np.concatenate(
             [best.shared[problem.exits].ravel(), radius, best.shared[problem.buildups]]
         ),
@@ -146,8 +148,7 @@ def _refuse(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> No
     both = data + problem.prior.information
     tied = data[np.ix_(rows, rest)]
     alone = data[np.ix_(rows, rows)] - tied @ np.linalg.solve(both[np.ix_(rest, rest)], tied.T)
-    scale = problem.prior.sigma[rows]
-    seen = judge(problem.prior.names[: len(rows)], alone, scale)
+    seen = judge(problem.prior.names[: len(rows)], alone, problem.prior.sigma[rows])
     left = np.linalg.inv(both)[np.ix_(rows, rows)]
     loose = float(np.sqrt(np.linalg.eigvalsh(left)[-1]))
     if (seen.blind or seen.weak) and loose > LOOSE_EXIT_SHARE * problem.longest:

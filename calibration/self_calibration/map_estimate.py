@@ -74,8 +74,7 @@ def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
         problem.prior.information * np.outer(scale, scale)
     )
     graph.addPriorVector(S(0), np.zeros(problem.size), prior)
-    reach = POSITION_PRIOR_FACTOR * problem.longest
-    wide = gtsam.noiseModel.Isotropic.Sigma(3, reach)
+    wide = gtsam.noiseModel.Isotropic.Sigma(3, POSITION_PRIOR_FACTOR * problem.longest)
     noise = gtsam.noiseModel.Diagonal.Sigmas(trust.line_sigma / problem.advantage)
     for k in range(len(angles.samples)):
         graph.addPriorPoint3(X(k), problem.robot.home_position, wide)

@@ -152,8 +152,7 @@ class MotorAngleProblem:
         cables = straight_length(self.robot, moved)
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
-        direction = cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
-        return length, direction
+        return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
 
     def _makes(self) -> list[tuple[float, ...]]:
         """Return what drums of one make have in common."""
@@ -171,12 +170,13 @@ class MotorAngleProblem:
         self.radii = 3 * n + np.array(group)
         self.buildups = 3 * n + self._groups + np.array(of_buildup)
         self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
-        names = point_names("exit_points", cables)
-        names += [f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)]
-        names += [
-            f"drum_buildup[{_joined(cables, of_buildup, g)}]" for g in range(len(self._buildups))
-        ]
-        self._names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
+        self._names = (
+            *point_names("exit_points", cables),
+            *(f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)),
+            *(f"drum_buildup[{_joined(cables, of_buildup, g)}]"
+              for g in range(len(self._buildups))),
+            *(f"length_at_zero[{cable}]" for cable in cables),
+        )  # fmt: skip
 
     def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
         """Return what the robot file and the settings say of the shared unknowns."""

@@ -57,8 +57,7 @@ def calibrate_tachymeter(
         exit_prior=_exit_prior(robot, survey) if use_prior else {},
         frame_tilt=frame_tilt,
     )
-    solution = fit(network, _start(network, stations, points))
-    return _result(robot, network, solution)
+    return _result(robot, network, fit(network, _start(network, stations, points)))
 
 
 def check_targets(robot: Robot, survey: Survey) -> None:
@@ -173,10 +172,9 @@ def _result(robot: Robot, network: Network, solution: SurveyFit) -> TachymeterRe
     estimate = _estimate(robot, network, solution, cables)
     stations = {}
     for name in survey.setups:
-        where = network.columns[f"setup {name}"]
         stations[name] = Station(
             values=np.array(solution.values.atVector(network.keys[f"setup {name}"])),
-            sigma=np.sqrt(np.diag(solution.covariance)[where]),
+            sigma=np.sqrt(np.diag(solution.covariance)[network.columns[f"setup {name}"]]),
         )
     points = {
         name: np.array(solution.values.atVector(network.keys[f"point {name}"]))
@@ -251,7 +249,6 @@ def _observability(
 
 def _blunders(network: Network, solution: SurveyFit) -> tuple[ReadingBlunder, ...]:
     """Return the rows left out, the worst first."""
-    rows = np.flatnonzero(~solution.used)
     blunders = [
         ReadingBlunder(
             **_place(network, int(row)),
@@ -260,7 +257,7 @@ def _blunders(network: Network, solution: SurveyFit) -> tuple[ReadingBlunder, ..
             sigmas=float(abs(solution.test[row])),
             or_else=_words(network, int(solution.alike[row])) if solution.alike[row] >= 0 else "",
         )
-        for row in rows
+        for row in np.flatnonzero(~solution.used)
     ]
     return tuple(sorted(blunders, key=lambda blunder: -blunder.sigmas))
 

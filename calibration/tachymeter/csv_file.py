@@ -68,17 +68,21 @@ def read_csv(path: str) -> list[Record]:
 
 def _header_faults(header: list[str]) -> list[str]:
     """Find what is wrong with the columns."""
-    known = [*_TEXT_COLUMNS, *_OPTIONAL_COLUMNS]
-    known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLE_UNITS_RAD]
-    known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTH_UNITS_M]
-    faults = [
-        f"column '{name}' is unknown" + did_you_mean(name, known)
-        for name in header if name not in known
-    ]  # fmt: skip
-    faults += [
-        f"column '{name}' twice" for name in sorted({n for n in header if header.count(n) > 1})
+    known = [
+        *_TEXT_COLUMNS,
+        *_OPTIONAL_COLUMNS,
+        *(f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLE_UNITS_RAD),
+        *(f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTH_UNITS_M),
     ]
-    faults += [f"no column '{name}'" for name in ("setup", "target") if name not in header]
+    faults = [
+        *(
+            f"column '{name}' is unknown" + did_you_mean(name, known)
+            for name in header
+            if name not in known
+        ),
+        *(f"column '{name}' twice" for name in sorted({n for n in header if header.count(n) > 1})),
+        *(f"no column '{name}'" for name in ("setup", "target") if name not in header),
+    ]
     if faults:
         return faults
     has = {name: [n for n in header if n.rpartition("_")[0] == name] for name in (

@@ -90,10 +90,9 @@ def _local(survey: Survey, name: str) -> Places:
     """Return the points in the frame of a set-up: medians over the shots of a target."""
     shots = [shot for shot in survey.shots if shot.setup == name]
     points = cartesian(np.array([[s.hz, s.v, s.distance] for s in shots]))
-    targets = dict.fromkeys(shot.target for shot in shots)
     return {
         target: np.median([p for p, s in zip(points, shots, strict=True) if s.target == target], 0)
-        for target in targets
+        for target in dict.fromkeys(shot.target for shot in shots)
     }
 
 

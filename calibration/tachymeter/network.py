@@ -137,8 +137,7 @@ class Network:
         ordering = gtsam.Ordering()
         for key in self.keys.values():
             ordering.push_back(key)
-        linear = self.graph(np.ones(len(self.sigma))).linearize(values)
-        jacobian, right = linear.jacobian(ordering)
+        jacobian, right = self.graph(np.ones(len(self.sigma))).linearize(values).jacobian(ordering)
         shots = self.survey.shots
         stacked = [i for name in self.survey.setups for i in _of(shots, name)]
         rows = np.arange(len(right))
@@ -152,8 +151,7 @@ class Network:
         shot = self.survey.shots[i]
         if not shot.sighting.on_pulley:
             return SightedPoint(point=point, by_exit=np.eye(3), by_swivel=np.zeros(3))
-        pulley = self.pulleys[shot.target]
-        return sighted_point(point, shot.sighting, pulley, swivel, self.sides[i])
+        return sighted_point(point, shot.sighting, self.pulleys[shot.target], swivel, self.sides[i])
 
     def _setup_factor(self, name: str, scale: Array) -> Any:
         """Return the factor of all shots of one set-up."""
@@ -166,9 +164,11 @@ class Network:
             target for target in targets
             if any(shot.target == target and shot.sighting.on_pulley for shot in shots)
         ]  # fmt: skip
-        keys = [self.keys[f"setup {name}"]]
-        keys += [self.keys[f"point {target}"] for target in targets]
-        keys += [self.keys[f"swivel {target}"] for target in swivels]
+        keys = [
+            self.keys[f"setup {name}"],
+            *(self.keys[f"point {target}"] for target in targets),
+            *(self.keys[f"swivel {target}"] for target in swivels),
+        ]
 
         def error(_: Any, values: Any, jacobians: list[Array] | None) -> Array:
             station = values.atVector(keys[0])

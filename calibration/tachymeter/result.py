@@ -59,10 +59,11 @@ class ReadingBlunder:
 
     def sentence(self) -> str:
         """Name the blunder."""
-        if self.shot is None:
-            what = f"{self.reading} of reference {self.target}"
-        else:
-            what = f"shot {self.shot}, set-up {self.setup}, target {self.target}: {self.reading}"
+        what = (
+            f"{self.reading} of reference {self.target}"
+            if self.shot is None
+            else f"shot {self.shot}, set-up {self.setup}, target {self.target}: {self.reading}"
+        )
         where = f" [{self.source}]" if self.source else ""
         other = f"; {self.or_else} would explain it as well" if self.or_else else ""
         return f"{what} is off by {self.size}, {self.sigmas:.0f} sigmas{where}{other}"

@@ -84,10 +84,9 @@ def _shots(path: str, records: list[Record], targets: SurveyTargets, robot: Robo
         point = targets.points.get(record.point)
         try:
             if point is None:
-                known = list(targets.points)
                 raise LineFault(
                     f"point '{record.point}' is neither in points nor in ignore of {targets.path}"
-                    + did_you_mean(record.point, known)
+                    + did_you_mean(record.point, list(targets.points))
                 )
             shots.append(_shot(record, point, targets, robot))
         except (InvalidField, LineFault) as fault:

@@ -175,8 +175,7 @@ def _optimize(network: Network, values: Any, weight: Array, iterations: int) -> 
     settings.setMaxIterations(iterations)
     settings.setRelativeErrorTol(1e-12)
     settings.setAbsoluteErrorTol(1e-12)
-    graph = network.graph(weight)
-    return gtsam.LevenbergMarquardtOptimizer(graph, values, settings).optimize()
+    return gtsam.LevenbergMarquardtOptimizer(network.graph(weight), values, settings).optimize()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -123,8 +123,7 @@ def draw_survey(
                         axis=robot.swivel_axis[i], towards=towards[i],
                     )  # fmt: skip
                     side = float(np.sign(elevation(point, pulley, station[:3])))
-                    turn = float(swivel[i])
-                    point = sighted_point(point, sighting, pulley, turn, side).point
+                    point = sighted_point(point, sighting, pulley, float(swivel[i]), side).point
                 shots.append(_shoot(name, station, cable, point, sighting))
             for reference, place in places.items():
                 shots.append(_shoot(name, station, reference, place, Sighting()))
@@ -216,13 +215,14 @@ def gsi_line(
     """
     hz, v = (shot.hz, shot.v) if face == 1 else (shot.hz - np.pi, 2.0 * np.pi - shot.v)
     name = GsiPointNameWord(shot.target).serialize(gsi16=long)
-    words = [f"{name[:2]}{number % 10000:04d}{name[6:]}"]
-    words += [
-        kind(Angle(float(angle % (2.0 * np.pi)))).serialize(gsi16=long, angleunit=unit)
-        for kind, angle in ((GsiHorizontalAngleWord, hz), (GsiVerticalAngleWord, v))
+    words = [
+        f"{name[:2]}{number % 10000:04d}{name[6:]}",
+        *(
+            kind(Angle(float(angle % (2.0 * np.pi)))).serialize(gsi16=long, angleunit=unit)
+            for kind, angle in ((GsiHorizontalAngleWord, hz), (GsiVerticalAngleWord, v))
+        ),
+        GsiSlopeDistanceWord(shot.distance).serialize(gsi16=long, distunit=GsiUnit.DECIMILLI),
     ]
-    distance = GsiSlopeDistanceWord(shot.distance)
-    words.append(distance.serialize(gsi16=long, distunit=GsiUnit.DECIMILLI))
     if prism_mm is not None:
         words.append(GsiPPMPrismConstantWord(0, prism_mm).serialize(gsi16=long))
     return ("*" if long else "") + "".join(words)
@@ -276,8 +276,10 @@ def write_targets(path: Path, survey: Survey, *, platform_position: Array | None
     """
     lines = [f"schema: {TARGETS_SCHEMA}", *_instrument_lines(survey.instrument)]
     if platform_position is not None:
-        lines.append(f"platform_position: {_list(platform_position)}")
-        lines.append(f"swivel_sigma: {np.rad2deg(survey.swivel_sigma):.6g} deg")
+        lines += [
+            f"platform_position: {_list(platform_position)}",
+            f"swivel_sigma: {np.rad2deg(survey.swivel_sigma):.6g} deg",
+        ]
     lines.append("points:")
     shots = {shot.target: shot for shot in survey.shots}
     for name in survey.targets:

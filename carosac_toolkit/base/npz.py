@@ -71,7 +71,6 @@ def read_npz(
     try:
         with np.load(path, allow_pickle=False) as data:
             check_decoded(path, sum(entry.file_size for entry in data.zip.infolist()))
-            rest = json.loads(str(data[key]))
-            return build(rest, {k: data[k] for k in data.files if k != key})
+            return build(json.loads(str(data[key])), {k: data[k] for k in data.files if k != key})
     except (*MALFORMED, *DAMAGED_ARCHIVE) as error:
         raise InvalidField("path", path, f"a file written by {writer}") from error

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,6 +105,18 @@ def round_trip() -> YAML:
     yaml.indent(mapping=2, sequence=4, offset=2)
     yaml.preserve_quotes = True
     return yaml
+
+
+def walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
+    """Yield all paths below a value, each with what is there; outer ones first."""
+    entries: list[tuple[str | int, Any]] = []
+    if isinstance(value, dict):
+        entries = list(value.items())
+    elif isinstance(value, list):
+        entries = list(enumerate(value))
+    for key, entry in entries:
+        yield (*path, key), entry
+        yield from walk((*path, key), entry)
 
 
 def format_path(path: FieldPath) -> str:

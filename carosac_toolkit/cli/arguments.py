@@ -117,8 +117,7 @@ def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
 
 def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
     """Return the error for a value that is not among the choices."""
-    hint = did_you_mean(event.value, event.choices)
-    allowed = f"one of {', '.join(event.choices)}{hint}"
+    allowed = f"one of {', '.join(event.choices)}{did_you_mean(event.value, event.choices)}"
     return InvalidField(_spelling(event.argument), repr(event.value), allowed)
 
 

@@ -57,8 +57,7 @@ def run(options: Options) -> CommandResult:
     study = _study(options)
     study.check()
     if options.baseline is not None:
-        ways = ways_of(study.controllers, study.estimators, study.suites)
-        check_baseline(options.baseline, ways)
+        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.suites))
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()
@@ -71,10 +70,9 @@ def run(options: Options) -> CommandResult:
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
     print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
-    paired = [block.data() for block in blocks]
     data = {
         **results.data(),
-        "paired": paired,
+        "paired": [block.data() for block in blocks],
         "conclusions": sentences,
         "output": str(results.folder),
     }
@@ -119,15 +117,17 @@ def _study(options: Options) -> Study:
 
 def _words(options: Options, study: Study) -> list[str]:
     """Return the command line that repeats this study."""
-    words = ["carosac", "compare"]
-    for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
-        words += [f"--{name}", *getattr(study, name)]
-    words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
-    words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
-    words += ["--baseline", options.baseline] if options.baseline is not None else []
-    words += ["--batch", str(options.batch)] if options.batch != 1 else []
-    words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
-    return words + [word for text in options.settings for word in ("--set", text)]
+    axes = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+    return [
+        "carosac", "compare",
+        *(word for name in axes for word in (f"--{name}", *getattr(study, name))),
+        "--seed", str(options.seed), "--seeds", str(len(study.seed_list)),
+        "--driver", options.driver, "--timeout", f"{options.timeout:g}",
+        *(["--baseline", options.baseline] if options.baseline is not None else []),
+        *(["--batch", str(options.batch)] if options.batch != 1 else []),
+        "--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}",
+        *(word for text in options.settings for word in ("--set", text)),
+    ]  # fmt: skip
 
 
 def _what(study: Study) -> str:

@@ -58,8 +58,7 @@ def run_suite(options: Options, name: str) -> CommandResult:
         task.study.check()
     folder = options.output or _folder(options, suite)
     check_folder("--output", folder)
-    width = terminal_width()
-    print(wrapped(_what(suite, tasks), width), flush=True)
+    print(wrapped(_what(suite, tasks), terminal_width()), flush=True)
     started = time.monotonic()
     parts = [_run(task, folder, options, suite) for task in tasks]
     return _finish(options, suite, parts, published, folder, time.monotonic() - started)
@@ -70,8 +69,7 @@ def _check_fixed(options: Options) -> None:
     for field in fields(options):
         if field.name not in ADJUSTABLE_OPTIONS and getattr(options, field.name) != field.default:
             value = repr(getattr(options, field.name))
-            allowed = "nothing with --suite, which fixes it"
-            raise InvalidField(f"--{field.name}", value, allowed)
+            raise InvalidField(f"--{field.name}", value, "nothing with --suite, which fixes it")
 
 
 def _tasks(options: Options, suite: ReferenceSuite) -> list[SuiteTask]:

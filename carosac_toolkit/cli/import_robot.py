@@ -99,9 +99,12 @@ def _incomplete(completed: Completed, options: Options) -> CommandResult:
             temporary.write_text(form(completed), encoding="utf-8")
         print(f"\nform: {options.form}; fill it in and give it with --complete")
     if options.output is not None:
-        lines = [f"{options.output} is not written: {len(completed.missing)} fields are missing"]
-        lines += ["give them with --complete FILE (--form FILE writes one to fill in) or --set"]
-        raise CarosacError("\n  ".join([*lines, *missing_lines(completed)]))
+        lines = [
+            f"{options.output} is not written: {len(completed.missing)} fields are missing",
+            "give them with --complete FILE (--form FILE writes one to fill in) or --set",
+            *missing_lines(completed),
+        ]
+        raise CarosacError("\n  ".join(lines))
     print(f"\nmissing ({len(completed.missing)}), to be given with --complete FILE or --set:")
     for line in missing_lines(completed):
         print(f"  {line}")

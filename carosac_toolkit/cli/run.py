@@ -116,9 +116,7 @@ def _run(
     statistics: Statistics, real_time: RealTime | None,
 ) -> tuple[bool, BaseException | None]:  # fmt: skip
     """Run the loop; return whether it came to its end, and an error once it was connected."""
-    duration = options.duration
-    if duration is None:
-        duration = path.duration + REST_S
+    duration = path.duration + REST_S if options.duration is None else options.duration
 
     def watch(step: Step) -> None:
         statistics(step)

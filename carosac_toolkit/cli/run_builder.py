@@ -86,8 +86,7 @@ def make_guard(
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
-    guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
-    return guard
+    return kind.build(robot, made, seed=options.seed)
 
 
 def _refuse_reserved(asked: dict[str, Any]) -> None:
@@ -139,8 +138,7 @@ def _move(
     low, high = robot.workspace_min, robot.workspace_max
     got = " ".join(f"{x:g}" for x in end) + " m"
     if not ((goal >= low) & (goal <= high)).all():
-        allowed = f"{low.tolist()} to {high.tolist()} m, the workspace box"
-        raise InvalidField("--to", got, allowed)
+        raise InvalidField("--to", got, f"{low.tolist()} to {high.tolist()} m, the workspace box")
     if np.linalg.norm(goal - start) < START_TOLERANCE_M:
         raise InvalidField("--to", got, "another place than where the platform stands (--home)")
     return trajectories.minimum_snap(np.stack([start, goal]), **limits)

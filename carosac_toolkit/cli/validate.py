@@ -119,10 +119,12 @@ def _default_folder(options: Options, path: Path, robot_choice: FoundRobot) -> P
 
 def _words(options: Options, robot: str) -> list[str]:
     """Return the command line that repeats this validation."""
-    words = ["carosac", "validate", options.recording, "--robot", robot]
-    words += ["--models", *options.models, "--start", str(options.start)]
-    words += ["--stop", str(options.stop)] if options.stop is not None else []
-    return [*words, "--seed", str(options.seed)]
+    return [
+        "carosac", "validate", options.recording, "--robot", robot,
+        "--models", *options.models, "--start", str(options.start),
+        *(["--stop", str(options.stop)] if options.stop is not None else []),
+        "--seed", str(options.seed),
+    ]  # fmt: skip
 
 
 def _print(

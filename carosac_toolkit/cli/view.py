@@ -169,7 +169,8 @@ def _statics(options: Options, robot: Robot) -> CommandResult:
         _announce(page.url, "drag the arrows, or choose 'cable lengths'")
         _serve(options)
         statics.close()
-        return CommandResult({"url": page.url, "answers": statics.answers, **_drawn(page)})
+        pictures = page.publisher.drawn
+        return CommandResult({"url": page.url, "answers": statics.answers, "pictures": pictures})
 
 
 def _still(options: Options, page: Page) -> CommandResult:
@@ -321,8 +322,3 @@ def _serve(options: Options) -> None:
             time.sleep(0.1)
     except KeyboardInterrupt:
         pass
-
-
-def _drawn(page: Page) -> dict[str, int]:
-    """Print how many pictures were drawn."""
-    return {"pictures": page.publisher.drawn}

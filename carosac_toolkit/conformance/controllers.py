@@ -53,7 +53,8 @@ def command_fits(factory: Factory, robot: Robot) -> None:
     for belief, reference in zip(scene.beliefs, references, strict=True):
         with only_clear_errors("command()"):
             command = controller.command(belief, reference)
-        require(isinstance(command, Command), f"command(): got {_kind(command)}; allowed: Command")
+        got = type(command).__name__
+        require(isinstance(command, Command), f"command(): got {got}; allowed: Command")
         shape = command.unstrained_length.shape
         require(shape == (1, robot.n), f"command(): got lengths of shape {shape}; "
                 f"allowed: {(1, robot.n)}")  # fmt: skip
@@ -190,11 +191,5 @@ def _commands(controller: Any, robot: Robot) -> list[Array]:
     """Return the lengths along a scene, after a reset."""
     scene = make_scene(robot)
     controller.reset(scene.beliefs[0])
-    references = scene.references(controller.period, controller.horizon)
-    pairs = zip(scene.beliefs, references, strict=True)
+    pairs = zip(scene.beliefs, scene.references(controller.period, controller.horizon), strict=True)
     return [np.array(controller.command(b, r).unstrained_length) for b, r in pairs]
-
-
-def _kind(value: object) -> str:
-    """Return the name of a value's type."""
-    return type(value).__name__

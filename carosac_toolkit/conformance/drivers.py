@@ -126,17 +126,15 @@ def command_says_what_was_sent(factory: Factory, robot: Robot) -> None:
     sent = driver.command(far)
     require(isinstance(sent, Command), f"command(): got {type(sent).__name__}; allowed: Command")
     if replays(driver):
-        again = driver.command(held)
-        require_same([sent.unstrained_length], [again.unstrained_length],
+        require_same([sent.unstrained_length], [driver.command(held).unstrained_length],
                      "command(): a driver that replays returned what was asked")  # fmt: skip
         driver.close()
         return
     if not np.array_equal(sent.unstrained_length, far.unstrained_length):
         require(sent.limited, "command(): it changed the command; `limited` must say why")
     sent = _settle(driver, sent, 2.0)
-    measured = driver.measure().unstrained_length
     require_close(
-        measured,
+        driver.measure().unstrained_length,
         sent.unstrained_length,
         "lengths sent and measured 2 s later",
         SETTLED_DIFFERENCE_M,
@@ -157,8 +155,7 @@ def stop_comes_to_rest(factory: Factory, robot: Robot) -> None:
     for k in range(30 + braking):
         if k == 30:
             driver.stop("conformance check")
-        asked = first + step * (k + 1)
-        command = Command(time=driver.measure().time, unstrained_length=asked)
+        command = Command(time=driver.measure().time, unstrained_length=first + step * (k + 1))
         lengths.append(driver.command(command).unstrained_length)
         driver.wait(DEFAULT_PERIOD_S)
     driver.close()

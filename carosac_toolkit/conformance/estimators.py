@@ -31,8 +31,7 @@ def belief_fits(factory: Factory, robot: Robot) -> None:
     """Require a finite `Belief` of the measurement's time and batch."""
     estimator = factory(robot, seed=CHECK_SEED)
     for belief, measurement in _beliefs(estimator, make_scene(robot).measurements):
-        kind = type(belief).__name__
-        require(isinstance(belief, Belief), f"got {kind}; allowed: Belief")
+        require(isinstance(belief, Belief), f"got {type(belief).__name__}; allowed: Belief")
         size = len(belief.position)
         require(size == 1, f"got {size} poses from one measurement; allowed: 1")
         same = np.array_equal(belief.time, measurement.time)
@@ -169,10 +168,11 @@ def _beliefs(
             command = Command(
                 time=measurement.time, unstrained_length=measurement.unstrained_length
             )
-            if not beliefs:
-                belief = estimator.reset(measurement)
-            else:
-                belief = estimator.update(beliefs[-1][0], command, measurement)
+            belief = (
+                estimator.update(beliefs[-1][0], command, measurement)
+                if beliefs
+                else estimator.reset(measurement)
+            )
             beliefs.append((belief, measurement))
     return beliefs
 

@@ -138,8 +138,7 @@ class SimulatedDriver:
             InvalidField: Another duration than the period, for which the limits count.
         """
         self._check_connected()
-        period = self._settings.period
-        check_period(duration, period, "driver")
+        check_period(duration, self._settings.period, "driver")
         if self._stopping:
             self._brake()
         elif not self._sent:

@@ -273,8 +273,7 @@ def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:
     sine = np.einsum("ni,ni->n", leaving, outward) / np.linalg.norm(outward, axis=1).clip(1e-300)
     angle = np.arctan2(sine, np.einsum("ni,ni->n", leaving, axis))
     angle = np.where(angle < -1e-9, angle + 2.0 * np.pi, angle)
-    wrap: Array = np.where(robot.pulley_radius > 0.0, angle, 0.0)
-    return wrap
+    return np.where(robot.pulley_radius > 0.0, angle, 0.0)
 
 
 def is_suspended(robot: Robot, position: Array, rotation: Array) -> bool:

@@ -113,8 +113,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
     if topics.imu is not None:
         channels["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
     if topics.names and not any(samples.labels for samples in channels.values()):
-        allowed = "none, as these topics have no names"
-        raise InvalidField("--names", " ".join(topics.names), allowed)
+        raise InvalidField("--names", " ".join(topics.names), "none, as these topics have no names")
     for channel, samples in channels.items():
         if samples.repeated:
             notes.append(f"{channel}: {samples.repeated} messages with the stamp of an earlier one")
@@ -242,8 +241,7 @@ def _seconds(samples: TopicSamples, start: int) -> Array:
 def _clock_warnings(channels: dict[str, TopicSamples]) -> list[str]:
     """Return warnings of channels that can hardly share one clock."""
     warnings = []
-    clocks = {samples.clock for samples in channels.values()}
-    if len(clocks) > 1:
+    if len({samples.clock for samples in channels.values()}) > 1:
         late = ", ".join(name for name, s in channels.items() if s.clock == "receive")
         warnings.append(
             f"header stamps, but times of receipt for {late} (no header): their delay against each "

@@ -104,8 +104,7 @@ def _pattern(file: SourceFile, platform: dict[str, Any]) -> None:
     if isinstance(pattern, dict):
         turns, moves = pattern.get("rotation"), pattern.get("translation")
         pattern = pattern.get("name") if turns is None else f"{turns}R{moves}T".replace(".0", "")
-    text = str(pattern).upper().removeprefix("MP_")
-    if text != "3R3T":
+    if str(pattern).upper().removeprefix("MP_") != "3R3T":
         raise file.refuse(
             f"platforms[0].motion_pattern: got {_short(pattern)}; allowed: '3R3T', a free body"
         )
@@ -209,8 +208,7 @@ def _chains(
     file: SourceFile, data: dict[str, Any], platform: dict[str, Any], draft: Draft, pulleys: bool
 ) -> None:
     """Put chains from their numbers."""
-    frame = _mapping(file, data.get("frame"), "frame")
-    frames = _list(file, frame.get("anchors"), "frame.anchors")
+    frames = _list(file, _mapping(file, data.get("frame"), "frame").get("anchors"), "frame.anchors")
     anchors = _list(file, platform.get("anchors"), "platforms[0].anchors")
     cables = _list(file, data.get("cables"), "cables")
     chains = _list(file, data.get("kinematic_chains"), "kinematic_chains")

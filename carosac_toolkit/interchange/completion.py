@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
-from carosac_toolkit.base.yaml import Document, FieldPath, dump_yaml, format_path, read_yaml
+from carosac_toolkit.base.yaml import Document, FieldPath, dump_yaml, format_path, read_yaml, walk
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.robot.file import document_faults, fields_to_give, parse_robot
 from carosac_toolkit.robot.robot import Robot
@@ -108,16 +108,19 @@ def missing_lines(completed: Completed) -> Iterator[str]:
 
 def form(completed: Completed) -> str:
     """Return a YAML fragment with the missing fields, to be filled in."""
-    lines = ["# What the file does not hold, to be filled in. Units may be written: 4 mm, 10 g/m."]
     tree: dict[str | int, Any] = {}
     for path, allowed in completed.missing:
         place = tree
         for part in path[:-1]:
             place = place.setdefault(part, {})
         place[path[-1]] = allowed
-    lines += _form_lines(tree, 0)
-    lines.append("provenance:  # where numbers come from, as in `platform.mass: weighed`")
-    return "\n".join([*lines, ""])
+    lines = [
+        "# What the file does not hold, to be filled in. Units may be written: 4 mm, 10 g/m.",
+        *_form_lines(tree, 0),
+        "provenance:  # where numbers come from, as in `platform.mass: weighed`",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
@@ -238,20 +241,8 @@ def _sorted_faults(
 
 def _needed(draft: Draft) -> dict[str, str]:
     """Return the provenance of the fields present."""
-    paths = {format_path(path) for path, _ in _walk((), draft.data)}
+    paths = {format_path(path) for path, _ in walk((), draft.data)}
     return {path: source for path, source in draft.provenance.items() if path in paths}
-
-
-def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield all paths below a value."""
-    entries: list[tuple[str | int, Any]] = []
-    if isinstance(value, dict):
-        entries = list(value.items())
-    elif isinstance(value, list):
-        entries = list(enumerate(value))
-    for key, entry in entries:
-        yield (*path, key), entry
-        yield from _walk((*path, key), entry)
 
 
 def _located(fault: tuple[FieldPath, str], document: Document) -> str:

@@ -45,8 +45,7 @@ def read_robot(
         ("--inertia-about", inertia_about, "cdpyr" in kinds),
     ):
         if value is not None and not fits:
-            allowed = f"nothing for a file of {next(iter(kinds))}"
-            raise InvalidField(option, repr(value), allowed)
+            raise InvalidField(option, repr(value), f"nothing for a file of {next(iter(kinds))}")
     if len(kinds) < len(paths) or (len(kinds) > 1 and len(caspr) < len(kinds)):
         raise InvalidField("FILE", ", ".join(map(str, paths)), _ROBOT_FILE_KINDS)
     if not caspr:

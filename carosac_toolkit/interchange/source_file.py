@@ -139,5 +139,4 @@ class SourceFile:
 def about_centre_of_mass(inertia: Array, mass: float, centre: Array) -> Array:
     """Convert an inertia about the origin to the centre of mass (Steiner) [kg m^2], (3, 3)."""
     square = float(centre @ centre) * np.eye(3) - np.outer(centre, centre)
-    moved: Array = inertia - mass * square
-    return moved
+    return inertia - mass * square

@@ -98,8 +98,7 @@ def _geometry(
     draft.chains(names, exits, anchors, used, ["cable"] * len(names))
     draft.provenance["frame.exit_points"] = f"{draft.source}: base points of the chains"
     draft.provenance["platform.anchor_points"] = f"{draft.source}: platform points of the chains"
-    radii = {radius for _, radius, _ in exits}
-    if radii == {_DEFAULT_RADIUS}:
+    if {radius for _, radius, _ in exits} == {_DEFAULT_RADIUS}:
         draft.warnings.append(
             f"all pulleys have radius {_DEFAULT_RADIUS} m, WireX's default: perhaps never "
             "measured (--no-pulleys takes points)"

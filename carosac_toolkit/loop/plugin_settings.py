@@ -34,8 +34,8 @@ def chosen_settings(
     Raises:
         InvalidField: A text of another form, a plug-in that is not in the study, or a field twice.
     """
-    chosen: dict[str, Any] = {f"{kind}_settings": {} for kind in ("controller", "estimator")}
-    chosen["driver_settings"] = {}
+    kinds = ("controller", "estimator", "driver")
+    chosen: dict[str, Any] = {f"{kind}_settings": {} for kind in kinds}
     for text in texts:
         path, equals, value = text.partition("=")
         kind, dot, rest = path.partition(".")

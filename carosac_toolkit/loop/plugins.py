@@ -165,8 +165,7 @@ def _owner(point: EntryPoint) -> str:
 
 def _allowed(name: str, installed: list[str]) -> str:
     """Describe the allowed names."""
-    text = f"one of {installed}, or 'module:Class'"
-    return text + did_you_mean(name, installed)
+    return f"one of {installed}, or 'module:Class'" + did_you_mean(name, installed)
 
 
 def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:

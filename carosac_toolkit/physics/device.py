@@ -30,8 +30,7 @@ def cable_records(robot: Robot) -> NDArray[Any]:
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
         "weight_per_length", "axial_stiffness", "axial_damping", "tension_min", "tension_max",
     ):  # fmt: skip
-        plural = f"{name}s" if name.endswith("point") else name
-        records[name] = getattr(robot, plural)
+        records[name] = getattr(robot, f"{name}s" if name.endswith("point") else name)
     return records
 
 

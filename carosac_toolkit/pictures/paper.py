@@ -116,10 +116,8 @@ def _scatter(sources: Sequence[FigureSource]) -> list[Drawn]:
             row for row in results.rows
             if plugin_name(str(row["controller"])) in (LEARNED, SOLVER)
         )  # fmt: skip
-        names = {plugin_name(str(row["controller"])) for row in tracked(rows)}
-        if names == {LEARNED, SOLVER}:
-            figure = draw_gaussians(replace(results, rows=rows))
-            return [Drawn(figure=figure, source=folder)]
+        if {plugin_name(str(row["controller"])) for row in tracked(rows)} == {LEARNED, SOLVER}:
+            return [Drawn(figure=draw_gaussians(replace(results, rows=rows)), source=folder)]
     return []
 
 

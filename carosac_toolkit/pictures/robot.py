@@ -157,9 +157,8 @@ def _draw_platform(axes: Any, report: RobotReport) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     anchors = _anchors(report)
-    faces = _faces(anchors)
     patch = Poly3DCollection(
-        faces, facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
+        _faces(anchors), facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
     )
     axes.add_collection3d(patch)
     axes.scatter(*anchors.T, color=PLATFORM_COLOR, s=10, label="anchor points", depthshade=False)
@@ -203,8 +202,7 @@ def _anchors(report: RobotReport) -> Array:
     """Return the anchor points at home in W [m], shape (n, 3)."""
     home = report.equilibrium
     place = home.position[0] if home.converged[0] else report.robot.home_position
-    points: Array = place + report.robot.anchor_points @ report.rotation.T
-    return points
+    return place + report.robot.anchor_points @ report.rotation.T
 
 
 def box_edges(robot: Robot) -> list[Array]:

@@ -77,8 +77,7 @@ def draw_time_series(result: ValidationResult) -> Figure:
         place.plot(time, known, color=MEASURED_COLOR, lw=1.6, label="measured", **dots)
         for label, (model, color) in models.items():
             place.plot(time, _positions(model)[:, axis], color=color, lw=1.0, label=label, **dots)
-            error = _error(result, model)[:, axis] * factor
-            below.plot(time, error, color=color, lw=1.0, **dots)
+            below.plot(time, _error(result, model)[:, axis] * factor, color=color, lw=1.0, **dots)
         below.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         place.set_ylabel(f"{name} [m]")
         below.set_ylabel(f"error in {name} [{unit}]")

@@ -217,8 +217,7 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
         color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
-    columns = [plane.right, plane.up]
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=4)
+    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=4)
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
@@ -245,16 +244,15 @@ def _limit_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    first = Patch(color=INSIDE_COLOR, label="inside")
-    if box:
-        first = Patch(color=BOX_FACE_COLOR, label="face of the box")
-    handles: list[Any] = [first]
     names = region.robot.cable_names
-    handles += [Patch(color=c, label=describe(*key, names)) for key, c in shown.items()]
-    handles.append(Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"))
-    handles.append(
-        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file")
-    )
+    handles = [
+        Patch(color=BOX_FACE_COLOR, label="face of the box")
+        if box
+        else Patch(color=INSIDE_COLOR, label="inside"),
+        *(Patch(color=c, label=describe(*key, names)) for key, c in shown.items()),
+        Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"),
+        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file"),
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 

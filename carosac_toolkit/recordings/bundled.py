@@ -12,14 +12,7 @@ _RECORDING_SUFFIX = ".parquet"
 
 def list_recordings() -> tuple[str, ...]:
     """Name the recordings that come with the toolkit, sorted."""
-    names = [entry.name for entry in _folder().iterdir()]
-    return tuple(
-        sorted(
-            name.removesuffix(_RECORDING_SUFFIX)
-            for name in names
-            if name.endswith(_RECORDING_SUFFIX)
-        )
-    )
+    return tuple(sorted(entry.stem for entry in _folder().glob(f"*{_RECORDING_SUFFIX}")))
 
 
 def find_recording(name_or_path: str | Path) -> Path:

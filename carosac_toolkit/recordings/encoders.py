@@ -27,16 +27,14 @@ def unstrained_lengths(robot: Robot, reading: Array) -> Array:
     """Return unstrained lengths [m] of readings [m]; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
-    lengths: Array = (reading - offset) / scale
-    return lengths
+    return (reading - offset) / scale
 
 
 def readings(robot: Robot, unstrained_length: Array) -> Array:
     """Return readings [m] of unstrained lengths [m]; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
-    values: Array = scale * unstrained_length + offset
-    return values
+    return scale * unstrained_length + offset
 
 
 def calibrated(recording: Recording, robot: Robot) -> Recording:

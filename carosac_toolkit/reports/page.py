@@ -52,8 +52,7 @@ def check_folder(option: str, folder: Path) -> None:
     if not above.is_dir():
         raise InvalidField(option, f"'{folder}'", f"a folder below a folder; {above} is a file")
     if not os.access(above, os.W_OK | os.X_OK):
-        allowed = f"a writable folder; {above} is not"
-        raise InvalidField(option, f"'{folder}'", allowed)
+        raise InvalidField(option, f"'{folder}'", f"a writable folder; {above} is not")
 
 
 def existing(folder: Path) -> Path:

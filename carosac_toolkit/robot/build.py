@@ -113,9 +113,11 @@ def _calibration(file: RobotFile) -> dict[str, Any]:
     sensors = file.sensors
     if sensors is not None and sensors.lengths is not None:
         cables = [sensors.lengths.cables[chain.name] for chain in file.chains]
-        calibrated["length_offset"] = np.array([cable.offset for cable in cables])
-        calibrated["length_scale"] = np.array([cable.scale for cable in cables])
-        calibrated["length_delay"] = sensors.lengths.delay
+        calibrated |= {
+            "length_offset": np.array([cable.offset for cable in cables]),
+            "length_scale": np.array([cable.scale for cable in cables]),
+            "length_delay": sensors.lengths.delay,
+        }
     if sensors is not None and sensors.poses is not None:
         calibrated["pose_rotation"] = _rotation(sensors.poses.quaternion_wxyz)
     if file.calibration is not None:

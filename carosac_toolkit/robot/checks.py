@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.errors import did_you_mean
 from carosac_toolkit.base.units import is_quantity
-from carosac_toolkit.base.yaml import FieldPath, format_path
+from carosac_toolkit.base.yaml import FieldPath, format_path, walk
 
 if TYPE_CHECKING:
     from carosac_toolkit.robot.schema import RobotFile
@@ -204,7 +204,9 @@ def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:
         for path in _uncovered((name,), data.get(name), list(sources)) or ():
             allowed = "an entry in provenance for it, or for the start of its path"
             yield path, f"no provenance; allowed: {allowed}"
-    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL_SECTIONS})]
+    known = [
+        format_path(path) for path, _ in walk((), {k: data.get(k) for k in _PHYSICAL_SECTIONS})
+    ]
     for source in sources:
         if source not in known:
             allowed = "the path of a field of this file, or the start of one"
@@ -226,25 +228,11 @@ def _uncovered(path: FieldPath, value: Any, sources: list[str]) -> list[FieldPat
         children = [_uncovered((*path, key), entry, sources) for key, entry in value.items()]
     elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
         children = [_uncovered((*path, i), entry, sources) for i, entry in enumerate(value)]
-    elif isinstance(value, list):
-        return [path] if any(is_quantity(entry) for entry in value) else None
     else:
-        return [path] if is_quantity(value) else None
+        numbers = value if isinstance(value, list) else [value]
+        return [path] if any(map(is_quantity, numbers)) else None
     covered = [child for child in children if child is not None]
     if not covered:
         return None
     nothing_covered = not any(format_path(path) == s[: len(format_path(path))] for s in sources)
     return [path] if nothing_covered and all(covered) else [p for child in covered for p in child]
-
-
-def _paths(path: FieldPath, value: Any) -> Iterator[FieldPath]:
-    """Walk all paths below a value."""
-    if path:
-        yield path
-    entries: list[tuple[str | int, Any]] = []
-    if isinstance(value, dict):
-        entries = list(value.items())
-    elif isinstance(value, list):
-        entries = list(enumerate(value))
-    for key, entry in entries:
-        yield from _paths((*path, key), entry)

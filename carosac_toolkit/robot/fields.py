@@ -51,8 +51,7 @@ def quantity_reader(unit: str, bound: str = "") -> tuple[Reader, str]:
 
 def list_reader(unit: str, count: int, meaning: str = "") -> tuple[Reader, str]:
     """Make a reader that only checks for a list of `count` entries, and the text of its fault."""
-    each = describe(unit)
-    allowed = f"a list of {count} numbers{' ' + meaning if meaning else ''}, each {each}"
+    allowed = f"a list of {count} numbers{' ' + meaning if meaning else ''}, each {describe(unit)}"
 
     def read(value: object) -> object:
         if not isinstance(value, list) or len(value) != count:

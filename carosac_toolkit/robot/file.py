@@ -41,8 +41,7 @@ _SECTION_ORDER = (
 
 def list_robots() -> tuple[str, ...]:
     """Name the robots that come with the toolkit, sorted."""
-    folder = files("carosac_toolkit.robot") / "bundled"
-    names = [entry.name for entry in folder.iterdir()]
+    names = [entry.name for entry in (files("carosac_toolkit.robot") / "bundled").iterdir()]
     return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
 
 
@@ -153,8 +152,7 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
     """Check plain data, field by field and against each other."""
     model, parts, errors = _validate(data)
     unknown = _unknown_keys(errors)
-    faults = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
-    return model, faults
+    return model, _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
 
 
 def _looks_like_path(text: str) -> bool:
@@ -255,10 +253,7 @@ def _shown(value: object) -> str:
         return "a mapping"
     if isinstance(value, float):
         return f"{value:.12g}"
-    if isinstance(value, list):
-        text = "[" + ", ".join(_shown(entry) for entry in value) + "]"
-    else:
-        text = repr(value)
+    text = f"[{', '.join(map(_shown, value))}]" if isinstance(value, list) else repr(value)
     return text if len(text) <= _VALUE_LENGTH_SHOWN else text[: _VALUE_LENGTH_SHOWN - 3] + "..."
 
 

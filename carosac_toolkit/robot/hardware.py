@@ -172,6 +172,5 @@ class Hardware:
 
     def number(self, length: Iterable[float]) -> Array:
         """Convert unstrained lengths [m] to numbers of the PLC, shape (n,)."""
-        lengths = np.asarray(length, dtype=np.float64)
-        numbers: Array = (lengths - np.array(self.offset)) / self.unit
+        numbers: Array = (np.asarray(length, dtype=np.float64) - np.array(self.offset)) / self.unit
         return numbers

@@ -29,8 +29,7 @@ _NOT_OF_THE_MACHINE = (  # texts, where a run starts, uncertainty, sensors of re
 
 def machine_hash(robot: Robot) -> int:
     """Return a hash of 64 bits of all numbers that describe the machine."""
-    digest = hashlib.sha256(machine_text(robot).encode()).digest()
-    return int.from_bytes(digest[:8], "big")
+    return int.from_bytes(hashlib.sha256(machine_text(robot).encode()).digest()[:8], "big")
 
 
 def machine_text(robot: Robot) -> str:

@@ -188,8 +188,7 @@ class Robot:
         """Write all fields to one ``.npz`` file, readable with numpy alone."""
         record = asdict(self)
         arrays = {k: v for k, v in record.items() if isinstance(v, np.ndarray)}
-        rest = {k: v for k, v in record.items() if k not in arrays}
-        write_npz(path, "__fields__", rest, arrays)
+        write_npz(path, "__fields__", {k: v for k, v in record.items() if k not in arrays}, arrays)
 
     @classmethod
     def from_npz(cls, path: str | Path) -> Robot:

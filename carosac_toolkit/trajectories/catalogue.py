@@ -59,8 +59,7 @@ def _cubic_spline(robot: Robot, rng: np.random.Generator, v: float, a: float) ->
 
 
 def _waypoints(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
-    points = draw_points(robot, rng, count=6)
-    return waypoints(points, rest=2.0, speed_max=v, acceleration_max=a)
+    return waypoints(draw_points(robot, rng, count=6), rest=2.0, speed_max=v, acceleration_max=a)
 
 
 def _line(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:

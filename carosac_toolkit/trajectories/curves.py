@@ -77,6 +77,5 @@ class PiecewisePolynomial:
         for order in range(orders):
             for power in range(coefficients.shape[1] - 1, -1, -1):
                 result[:, order] = result[:, order] * local + coefficients[:, power]
-            powers = np.arange(1, coefficients.shape[1])
-            coefficients = coefficients[:, 1:] * powers[:, None]
+            coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[:, None]
         return result

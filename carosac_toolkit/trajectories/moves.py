@@ -58,8 +58,7 @@ def waypoints(
         check_duration(duration, moving.sum() + resting, speed_max, acceleration_max)
         moving = moving * (duration - resting) / moving.sum()
     curve = _moves_and_rests(array, moving, rest)
-    total = float(curve.breaks[-1])
-    return Trajectory(name="waypoints", curve=curve, duration=total, points=array)
+    return Trajectory(name="waypoints", curve=curve, duration=float(curve.breaks[-1]), points=array)
 
 
 def line(

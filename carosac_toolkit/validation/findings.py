@@ -39,12 +39,14 @@ def conclusions(result: ValidationResult) -> list[str]:
     reason = _no_causes(result, best)
     if reason is not None:
         return [*lines, reason]
-    lines += _rest_and_motion(result, best)
-    lines += _sway(result, best)
-    lines += _delay(best)
-    lines += _offset(best)
-    lines += _sag(best)
-    return lines
+    return [
+        *lines,
+        *_rest_and_motion(result, best),
+        *_sway(result, best),
+        *_delay(best),
+        *_offset(best),
+        *_sag(best),
+    ]
 
 
 def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:

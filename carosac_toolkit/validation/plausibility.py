@@ -127,8 +127,7 @@ def doubt_exit_points(distance: float | None) -> Iterator[str]:
 
 def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
     """Return findings on lengths or positions in other units than metres."""
-    ratio = _median(trial.length / trial.distance)
-    if not abs(ratio - 1.0) > DISTANCE_MISFIT_MAX:
+    if not abs(_median(trial.length / trial.distance) - 1.0) > DISTANCE_MISFIT_MAX:
         return [], trial
     best, repaired, chosen = DISTANCE_MISFIT_MAX, trial, ("m", "m")
     for units in product(METRES_PER_UNIT, METRES_PER_UNIT if _outside(trial) else ("m",)):

@@ -145,8 +145,7 @@ class _Scoring:
         """Run and score one model."""
         try:
             model = build_plugin(target, self._robot, where=name, seed=seed)
-            run = run_open_loop(model, self._recording, stop)
-            return self._score(name, run)
+            return self._score(name, run_open_loop(model, self._recording, stop))
         except (Exception, SystemExit) as error:  # a user's model may raise anything
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             return ModelResult(name=name, reason=reason)

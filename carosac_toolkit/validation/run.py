@@ -98,8 +98,7 @@ def _command(
         index = int(np.searchsorted(channel.time, now[0], side="right")) - 1
         if index >= 0:
             return Command(time=now, unstrained_length=channel.value[index : index + 1])
-    last = previous or measurement
-    return Command(time=now, unstrained_length=last.unstrained_length)
+    return Command(time=now, unstrained_length=(previous or measurement).unstrained_length)
 
 
 def _tension(belief: Belief, n: int) -> Array:

@@ -28,8 +28,7 @@ PANEL_STYLE = (
 
 def still_html(page: Page, title: str, words: str) -> str:
     """Return the current scene as a page."""
-    serializer = page.server.get_scene_serializer()
-    return _with_panel(serializer.as_html(), page, title, words, None)
+    return _with_panel(page.server.get_scene_serializer().as_html(), page, title, words, None)
 
 
 def replay_html(page: Page, replay: Replay, title: str, words: str) -> tuple[str, int]:
@@ -48,8 +47,7 @@ def replay_html(page: Page, replay: Replay, title: str, words: str) -> tuple[str
     for before, now in pairwise(times):
         serializer.insert_sleep(float(now - before))
         replay.draw_pictures(float(now))
-    text = _with_panel(serializer.as_html(), page, title, words, run)
-    return text, count + 1
+    return _with_panel(serializer.as_html(), page, title, words, run), count + 1
 
 
 def write_html(path: Path, text: str) -> None:

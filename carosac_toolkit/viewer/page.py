@@ -81,8 +81,7 @@ class Page:
     @property
     def url(self) -> str:
         """Address of the page, with its secret."""
-        name = self._admission.name
-        address = f"http://{name}:{self.server.get_port()}{self._admission.path}"
+        address = f"http://{self._admission.name}:{self.server.get_port()}{self._admission.path}"
         return f"{address}?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
 
     def offer(self, picture: Picture) -> None:

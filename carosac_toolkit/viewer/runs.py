@@ -94,9 +94,7 @@ def load_runs(where: str, robot: str | None = None) -> list[RecordedRun]:
         CarosacError: There is nothing that can be played.
     """
     folder, number = _numbered(where)
-    if folder.is_dir():
-        return _study_runs(folder, number)
-    return [_recorded_run(where, robot)]
+    return _study_runs(folder, number) if folder.is_dir() else [_recorded_run(where, robot)]
 
 
 def _numbered(where: str) -> tuple[Path, int | None]:
@@ -256,10 +254,7 @@ def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) ->
     latest = np.searchsorted(command.time, time, side="right") - 1
     length = command.value[np.clip(latest, 0, None)]
     rest = statics.forward_kinematics(robot, length, guess=guess)
-    known = rest.converged & (latest >= 0)
-    if not known.all():
-        return None
-    return rest.position
+    return rest.position if (rest.converged & (latest >= 0)).all() else None
 
 
 def same_robot(runs: Sequence[RecordedRun]) -> list[RecordedRun]:

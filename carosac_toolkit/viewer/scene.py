@@ -277,8 +277,7 @@ class RobotScene:
             self._names = self._add_names()
         for i, handle in enumerate(self._names):
             handle.visible = self.labels
-            known = np.isfinite(tension[i])
-            value = f"{tension[i]:.0f} N" if known else "? N"
+            value = f"{tension[i]:.0f} N" if np.isfinite(tension[i]) else "? N"
             handle.text = f"{self._robot.cable_names[i]}: {value}"
 
 

@@ -98,8 +98,7 @@ class StaticsPage:
     def _slid(self, event: Any) -> None:
         """Take a length set by the user."""
         if event.client_id is not None:
-            length = np.array([each.value for each in self.lengths])
-            self._wishes.offer(Wish(length=length))
+            self._wishes.offer(Wish(length=np.array([each.value for each in self.lengths])))
 
     def _go_home(self) -> None:
         """Ask for the home pose."""
@@ -111,8 +110,7 @@ class StaticsPage:
     def _ask_for_target(self) -> None:
         """Ask for the pose of the gizmo."""
         turn = to_matrix(np.asarray(self.gizmo.wxyz, dtype=float)[None])[0]
-        position = np.array(self.gizmo.position, dtype=float)
-        self._wishes.offer(Wish(position=position, rotation=turn))
+        self._wishes.offer(Wish(position=np.array(self.gizmo.position, dtype=float), rotation=turn))
 
     def _put_target(self, position: Array, rotation: Array) -> None:
         """Move the gizmo."""

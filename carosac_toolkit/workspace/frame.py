@@ -57,8 +57,7 @@ def too_flat(robot: Robot, position: Array) -> NDArray[np.bool_]:
     aside = np.maximum(np.linalg.norm(chord[..., :2], axis=-1) - reach, 0.0)
     sine = np.where(rise > 0.0, rise / np.maximum(np.hypot(rise, aside), 1e-12), 0.0)
     carried: Array = sine @ robot.tension_max
-    flat: NDArray[np.bool_] = carried < robot.weight
-    return flat
+    return carried < robot.weight
 
 
 def _reach(robot: Robot) -> float:
@@ -71,5 +70,4 @@ def without_cable(robot: Robot, position: Array, rotation: Array | None) -> NDAr
     """Return whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
     cables = straight_length(robot, position, rotation)
     there = cables.valid.astype(bool) & (cables.length > 1e-6)
-    missing: NDArray[np.bool_] = np.asarray((~there).any(axis=1))
-    return missing
+    return np.asarray((~there).any(axis=1))

@@ -35,8 +35,7 @@ class Grid:
     @property
     def positions(self) -> Array:
         """Return all positions [m], shape (B, 3), z fastest."""
-        grid = np.meshgrid(*self.axes, indexing="ij")
-        return np.stack(grid, axis=-1).reshape(-1, 3)
+        return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
     @property
     def lines(self) -> NDArray[np.int64]:
@@ -109,5 +108,4 @@ def box_of(robot: Robot, name: str) -> tuple[Array, Array]:
     if name == "workspace":
         return robot.workspace_min, robot.workspace_max
     lower = np.minimum(robot.exit_points.min(axis=0), robot.workspace_min)
-    upper = np.maximum(robot.exit_points.max(axis=0), robot.workspace_max)
-    return lower, upper
+    return lower, np.maximum(robot.exit_points.max(axis=0), robot.workspace_max)

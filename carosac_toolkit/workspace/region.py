@@ -75,8 +75,7 @@ class Region:
             ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
             near[tuple(ahead)] |= inside[tuple(behind)]
             near[tuple(behind)] |= inside[tuple(ahead)]
-        beside: NDArray[np.bool_] = (near & ~inside).ravel()
-        return beside
+        return (near & ~inside).ravel()
 
     def sentence(self) -> str:
         """Return the result in words."""
@@ -89,8 +88,10 @@ class Region:
         if not self.verdicts.inside.any():
             text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"
         else:
-            text = f"{name} can hold its platform in {share} of the box; "
-            text += f"where that ends, mostly {self._words(True)}"
+            text = (
+                f"{name} can hold its platform in {share} of the box; "
+                f"where that ends, mostly {self._words(True)}"
+            )
         if self.unknown:
             text += f"; {self.unknown} positions did not converge and count as outside"
         return text
@@ -140,11 +141,10 @@ class Region:
 
     def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
         """Return the causes, ready for JSON."""
-        names = self.robot.cable_names
         return [
             {
                 "limit": LIMIT_LABELS[Limit(limit)],
-                "cable": cable_of(limit, cable, names),
+                "cable": cable_of(limit, cable, self.robot.cable_names),
                 "positions": count,
             }
             for limit, cable, count in self.causes(at_the_end=at_the_end)
@@ -187,8 +187,7 @@ def compute(
 def _worst(verdicts: Sequence[Verdicts]) -> Verdicts:
     """Return row by row the verdict that is outside, or has the least margin."""
     margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in verdicts])
-    inside = np.stack([v.inside for v in verdicts])
-    chosen = np.lexsort((margin, inside), axis=0)[0]
+    chosen = np.lexsort((margin, np.stack([v.inside for v in verdicts])), axis=0)[0]
     worst: Verdicts = _choose(verdicts, chosen)
     return worst
 
@@ -199,8 +198,9 @@ def _choose(records: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
     values = {}
     for field in fields(records[0]):
         parts = [getattr(record, field.name) for record in records]
-        if isinstance(parts[0], np.ndarray):
-            values[field.name] = np.stack(parts)[chosen, rows]
-        else:
-            values[field.name] = _choose(parts, chosen)
+        values[field.name] = (
+            np.stack(parts)[chosen, rows]
+            if isinstance(parts[0], np.ndarray)
+            else _choose(parts, chosen)
+        )
     return type(records[0])(**values)

@@ -102,8 +102,7 @@ def run(options: Options) -> CommandResult:
         print(line)
     folder = options.output or _default_folder(description, protocol, count, options.seed)
     data["pictures"] = draw(scores["policy"], robot, folder)
-    saved = SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores)
-    saved.write(folder)
+    SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores).write(folder)
     if protocol == "realtime":
         data["pictures"] += draw_rmse(scores, folder)
     print(f"pictures, and the scores of all points ({SCORES_FILE}): {folder}")

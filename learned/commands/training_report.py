@@ -46,8 +46,7 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
         if row["status"] != "ok":
             line = f"{training.place}: {row['status']}: {row['reason']}"
             print(wrapped(line, terminal_width()))
-    where = study.folder / _pattern(study)
-    print(f"\npolicies: {where}")
+    print(f"\npolicies: {study.folder / _pattern(study)}")
     for picture in pictures:
         print(f"picture: {picture}")
     return {

@@ -57,8 +57,7 @@ def error_histograms(
     }
     for axes, color, (label, values) in zip(panels, SERIES_COLORS, errors.items(), strict=False):
         _histogram(axes, MM_PER_M * values, color)
-        axes.set_xlabel(f"{label} of a trajectory [mm]")
-        axes.set_ylabel("trajectories [-]")
+        axes.set(xlabel=f"{label} of a trajectory [mm]", ylabel="trajectories [-]")
     count = len(errors["mean position error"])
     figure.suptitle(f"Errors of {count} trajector{'y' if count == 1 else 'ies'}")
     return save(figure, path)
@@ -80,9 +79,8 @@ def error_violins(errors: ArrayLike, path: str | Path, *, what: str = "position 
     medians = np.median(values, axis=0)
     names = [f"{name}\nmedian {median:.1f} mm" for name, median in zip("xyz", medians, strict=True)]
     axes.set_xticks(range(3), names)
-    axes.set_xlim(-0.6, 2.8)
-    axes.set_ylim(-0.02 * axes.get_ylim()[1], axes.get_ylim()[1])
-    axes.set_ylabel(f"absolute {what} [mm]")
+    top = axes.get_ylim()[1]
+    axes.set(xlim=(-0.6, 2.8), ylim=(-0.02 * top, top), ylabel=f"absolute {what} [mm]")
     axes.grid(axis="y", alpha=0.25)
     axes.set_axisbelow(True)
     figure.suptitle(f"{len(values)} samples; bar: RMSE; dot: median")
@@ -142,10 +140,9 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
             draw_bell(axes, column, -0.13 * (place + 1), colors[name])
     for axes, name in zip(panels, "xyz", strict=True):
         axes.set_title(name, fontsize=10)
-        axes.set_xlabel("RMSE of a trajectory [mm]")
-        axes.set_yticks([])
-        axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
-        axes.set_ylim(-0.13 * (len(groups) + 0.6), 1.08)
+        end = axes.get_xlim()[1]
+        axes.set(xlabel="RMSE of a trajectory [mm]", xlim=(-0.02 * end, 1.1 * end))
+        axes.set(yticks=[], ylim=(-0.13 * (len(groups) + 0.6), 1.08))
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
@@ -190,8 +187,7 @@ def errors_over_time(
             axes.axvspan(first, last, color=REST_COLOR, lw=0, zorder=0, label=label)
         for mark in marks:
             axes.axvline(mark, color=MEASURED_COLOR, lw=0.6, ls=":")
-        axes.set_ylabel(f"|error| in {name} [mm]")
-        axes.set_ylim(bottom=0.0)
+        axes.set(ylabel=f"|error| in {name} [mm]", ylim=(0.0, None))
         axes.margins(x=0.005)
         axes.grid(axis="y", alpha=0.25)
     panels[-1].set_xlabel("time [s]")
@@ -229,8 +225,7 @@ def _paths(axes: Any, wanted: Array, paths: Array, robot: Robot, view: tuple[int
     columns = list(view)
     ends = np.stack([robot.workspace_min, robot.workspace_max])[:, columns]
     corners = np.array(list(product(*ends.T)))
-    edges = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
-    for k, edge in enumerate(edges):
+    for k, edge in enumerate([(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]):
         label = None if k else "workspace box"
         axes.plot(*np.stack(edge).T, color=BOX_COLOR, lw=0.9, ls=":", label=label)
     for k, reference in enumerate(wanted[..., columns]):

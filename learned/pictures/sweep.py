@@ -52,10 +52,8 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         axes.set_xscale("log")
     else:
         axes.set_xlim(left=0.0)
-    labels = [textwrap.fill(name, LABEL_WIDTH) for name in groups]
-    axes.set_yticks(range(len(groups)), labels)
-    axes.set_ylim(len(groups) - 0.5, -0.5)
-    axes.set_xlabel("median position error after training [mm]")
+    axes.set_yticks(range(len(groups)), [textwrap.fill(name, LABEL_WIDTH) for name in groups])
+    axes.set(ylim=(len(groups) - 0.5, -0.5), xlabel="median position error after training [mm]")
     axes.grid(alpha=0.25, axis="x")
     figure.suptitle("Variations; dots: seeds, line: their median")
     return save(figure, path)

@@ -43,8 +43,7 @@ class Drums:
         The law ends where the drum is empty, at an angle of 2 radius / buildup of the drum.
         """
         angle = motor_angle / self.gear
-        paid_out: Array = angle * (self.radius - 0.25 * self.buildup * angle) / self.advantage
-        return paid_out
+        return angle * (self.radius - 0.25 * self.buildup * angle) / self.advantage
 
     def motor_angle(self, unstrained_length: Array) -> Array:
         """Return the motor angle from length 0 [rad] at a length [m]; shapes (..., n).
@@ -60,8 +59,7 @@ class Drums:
             most = self.radius[i] ** 2 / (self.advantage[i] * self.buildup[i])
             allowed = f"less than the drum holds, {most:.6g} m"
             raise InvalidField(f"unstrained_length[{i}]", f"{asked:.6g} m", allowed)
-        angle: Array = self.gear * 2.0 * line / (self.radius + np.sqrt(left))
-        return angle
+        return self.gear * 2.0 * line / (self.radius + np.sqrt(left))
 
 
 def drums_of(robot: Robot) -> Drums:

@@ -238,6 +238,4 @@ _GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axi
 
 def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
     """Return the home rotation, or an argument of one rotation matrix per pose."""
-    if rotation is None:
-        return robot.home_rotation
-    return rotations("rotation", rotation, size)
+    return robot.home_rotation if rotation is None else rotations("rotation", rotation, size)

@@ -70,8 +70,7 @@ def solve(
         InvalidField: Wrong shapes, or a lower limit above its upper one.
     """
     asked = prepare(structure_matrix, wrench, tension_min, tension_max, arm)
-    middle = per_cable("reference", reference, *asked.lower.shape)
-    limits = (asked.lower, asked.upper, middle)
+    limits = (asked.lower, asked.upper, per_cable("reference", reference, *asked.lower.shape))
     tension, status = _launch(asked.columns, -asked.wrench, limits, device)
     rest = np.einsum("bni,bn->bi", asked.columns, tension) + asked.wrench
     return Distribution(
@@ -153,9 +152,8 @@ class SingleRobot:
         if len(matrix) != 1 or len(load) != 1:
             raise InvalidField("structure_matrix and wrench", "several problems", "a batch of one")
         self._dense[:6] = matrix[0]
-        middle = per_cable("reference", reference, 1, self._n)[0]
         self._problem.update(
-            q=-middle,
+            q=-per_cable("reference", reference, 1, self._n)[0],
             Ax=self._dense.T[self._mask.T],
             l=np.concatenate([-load[0], self._lower]),
             u=np.concatenate([-load[0], self._upper]),

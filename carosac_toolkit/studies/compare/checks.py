@@ -52,8 +52,7 @@ def find_plugin(kind: Any, name: str) -> Any:
             f"{kind[:-1]} '{name}': its import raised {type(error).__name__}: {error}"
         ) from error
     if not callable(getattr(plugin, "build", None)):
-        allowed = "a class with build(robot, settings, *, seed)"
-        raise InvalidField(kind[:-1], repr(name), allowed)
+        raise InvalidField(kind[:-1], repr(name), "a class with build(robot, settings, *, seed)")
     return plugin
 
 

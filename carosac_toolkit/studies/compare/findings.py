@@ -132,8 +132,7 @@ def _pair(results: StudyResults, one: int, two: int, what: _ComparedError) -> st
     factor = (
         "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE_RATIO_MAX else 2}g} times"
     )
-    often = "" if single else f", larger in {worse} of them"
-    often += "" if single else _doubt(*rows, column=what.column)
+    often = f", larger in {worse} of them{_doubt(*rows, column=what.column)}" if not single else ""
     return (
         f"The {what.error} error of {names[1]} is {factor} that of {names[0]}: "
         f"{say_length(high)} against {say_length(low)} {over}{often}."

@@ -268,8 +268,10 @@ def _milliseconds(value: float | None) -> str:
 
 def markdown_table(sheet: Sheet) -> str:
     """Return one table as Markdown."""
-    lines = [f"| {' | '.join(sheet.header)} |"]
-    lines.append("|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left))
+    lines = [
+        f"| {' | '.join(sheet.header)} |",
+        "|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left),
+    ]
     for k, row in enumerate(sheet.rows):
         cells = [f"**{text}**" if (k, i) in sheet.bold else text for i, text in enumerate(row)]
         lines.append(f"| {' | '.join(text.replace('|', '&#124;') for text in cells)} |")

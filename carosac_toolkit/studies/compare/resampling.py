@@ -43,8 +43,7 @@ def typical(table: Array) -> Array:
     middle, some = (0.5 * (low + high))[:, 0], (count > 0)[:, 0]
     total = np.where(some, middle, 0.0).sum(axis=1)
     paths = some.sum(axis=1)
-    means: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
-    return means
+    return np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
 
 
 def interval(
@@ -89,8 +88,7 @@ def interval(
     step = max(1, SORTED_VALUES_MAX // kept[0].size)
     values = []
     for first in range(0, resamples, step):
-        rows = min(step, resamples - first)
-        drawn = rng.integers(0, seeds, size=(rows, seeds))
+        drawn = rng.integers(0, seeds, size=(min(step, resamples - first), seeds))
         for table in kept:
             drawn = drawn[_with_all_paths(table, drawn)]
         values.append(statistic(*(table[drawn] for table in kept)))

@@ -112,8 +112,7 @@ class Study:
                 object.__setattr__(self, item.name, tuple(value))
         object.__setattr__(self, "driver", name_of(self.driver))
         for kind in ("controllers", "estimators"):
-            names = tuple(name_of(plugin) for plugin in getattr(self, kind))
-            object.__setattr__(self, kind, names)
+            object.__setattr__(self, kind, tuple(name_of(plugin) for plugin in getattr(self, kind)))
             settings = getattr(self, f"{kind[:-1]}_settings")
             by_name = {name_of(plugin): values for plugin, values in settings.items()}
             object.__setattr__(self, f"{kind[:-1]}_settings", by_name)
@@ -247,8 +246,7 @@ def _check(study: Study) -> None:
     check_known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
     own = own_settings(study.driver, study.driver_settings)
     for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
-        value = repr(own[name])
-        raise InvalidField(f"driver_settings.{name}", value, "none: each case sets it")
+        raise InvalidField(f"driver_settings.{name}", repr(own[name]), "none: each case sets it")
     check_suites(driver, study.driver, study.suites)
     check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
@@ -270,7 +268,6 @@ def _check_execution(study: Study) -> None:
     check_statuses(study.retry)
     check_whole("batch", study.batch, 1)
     if study.workers is not None and study.scheduler is not None:
-        allowed = "no number of workers with a scheduler"
-        raise InvalidField("workers", str(study.workers), allowed)
+        raise InvalidField("workers", str(study.workers), "no number of workers with a scheduler")
     if study.workers is not None and study.workers < 0:
         raise InvalidField("workers", str(study.workers), "0 or more")

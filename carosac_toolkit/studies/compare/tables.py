@@ -80,22 +80,19 @@ def failures(results: StudyResults) -> list[str]:
         cases = counted(line["cases"], "case")
         lines.append(f"{label}: {line['failures']} of {cases} without a score")
         listed = list(line["reasons"].items())
-        lines += [f"  {count} {_short(reason)}" for reason, count in listed[:REASONS_SHOWN]]
+        lines += [
+            f"  {count} {textwrap.shorten(reason, 200, placeholder=' ...')}"
+            for reason, count in listed[:REASONS_SHOWN]
+        ]
         if len(listed) > REASONS_SHOWN:
             rest = sum(count for _, count in listed[REASONS_SHOWN:])
             lines.append(f"  {rest} for other reasons")
         if any("no tensions within the limits" in reason for reason, _ in listed):
-            robot = line["robot"]
             lines.append(
                 "  paths are drawn in the workspace box of the robot file; carosac workspace "
-                f"{robot} shows where in it the robot can rest"
+                f"{line['robot']} shows where in it the robot can rest"
             )
     return lines
-
-
-def _short(reason: str) -> str:
-    """Return the first 200 characters on one line."""
-    return textwrap.shorten(reason, 200, placeholder=" ...")
 
 
 def _names(results: StudyResults) -> list[str]:

@@ -67,16 +67,14 @@ class ReferenceSuite:
         if name not in suites():
             allowed = f"one of {[LATEST_SUITE_ALIAS, *suites()]}; sensors are chosen with --suites"
             raise InvalidField("suite", repr(name), allowed)
-        data = load_yaml(_file(name).read_text(encoding="utf-8"))
-        return cls(name=name, definition=data)
+        return cls(name=name, definition=load_yaml(_file(name).read_text(encoding="utf-8")))
 
     @cached_property
     def digest(self) -> str:
         """Sixteen hexadecimal digits of all that decides the draws; equal ones are comparable."""
-        names = self.definition["robots"]
         whole = {
             "definition": dict(self.definition),
-            "robots": {name: robot_digest(name) for name in names},
+            "robots": {name: robot_digest(name) for name in self.definition["robots"]},
             "condition": asdict(find_condition(self.definition["perturbation"])),
         }
         return hashlib.sha256(canonical(whole).encode()).hexdigest()[:16]
@@ -111,8 +109,7 @@ class ReferenceSuite:
 
     def _may_run(self, name: str, robot: str) -> bool:
         """Return whether a plug-in works for this robot."""
-        only = self.definition.get("only", {})
-        return robot in only.get(name, [robot])
+        return robot in self.definition.get("only", {}).get(name, [robot])
 
     def _study(
         self, part: str, robot: str, entries: Sequence[str], more: Mapping[str, Any]

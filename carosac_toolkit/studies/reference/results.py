@@ -110,8 +110,7 @@ def read_record(folder: Path) -> dict[str, Any]:
         MissingFile: There is no record.
         InvalidFile: It is none of a suite.
     """
-    kinds = {"suite": str, "digest": str}
-    return json_record(folder / RECORD, REFERENCE_SCHEMA, kinds, read=_text)
+    return json_record(folder / RECORD, REFERENCE_SCHEMA, {"suite": str, "digest": str}, read=_text)
 
 
 def _text(path: Path) -> str:

@@ -41,8 +41,7 @@ class Dispatcher:
         self._running: dict[str, tuple[Any, WorkerTask]] = {}
         self._done: SimpleQueue[str] = SimpleQueue()
         self._token = uuid.uuid4().hex[:8]
-        threads = sum(client.nthreads().values())
-        self._window = max(PENDING_TASKS_MIN, TASKS_PER_THREAD * threads)
+        self._window = max(PENDING_TASKS_MIN, TASKS_PER_THREAD * sum(client.nthreads().values()))
 
     def batches(self) -> Iterator[list[Row]]:
         """Yield rows until there is one per task; an empty list now and then while none comes.

@@ -100,16 +100,16 @@ def run_cases(
         ]
         if todo:
             count = _worker_count(workers, len(cases), len(todo))
-            batches: Iterable[list[Row]]
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
                 notes = "" if here else stack.enter_context(notes_folder(path))
                 own = str(path.resolve()) if own_files else ""
                 tasks = _tasks(todo, function, attempts, notes, own, batching)
-                if here:
-                    batches = (rows_of(task) for task in tasks)
-                else:
-                    batches = _on_workers(stack, tasks, scheduler, count, bar.say)
+                batches: Iterable[list[Row]] = (
+                    map(rows_of, tasks)
+                    if here
+                    else _on_workers(stack, tasks, scheduler, count, bar.say)
+                )
                 _keep(batches, store, bar)
             store.merge()
     return read_rows(path)

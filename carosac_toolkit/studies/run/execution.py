@@ -166,10 +166,7 @@ def run_task(task: WorkerTask) -> WorkerAnswer:
     """
     cases = [Case.from_dict(fields) for fields in task.cases]
     _check_worker(cases, task)
-    if len(cases) > 1:
-        rows = _batch_of_task(cases, task)
-    else:
-        rows = [_row_of_task(cases[0], task)]
+    rows = _batch_of_task(cases, task) if len(cases) > 1 else [_row_of_task(cases[0], task)]
     return WorkerAnswer(identity=task.identity, rows=rows)
 
 

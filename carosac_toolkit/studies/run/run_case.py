@@ -192,9 +192,8 @@ def build_part(
     """
     plugin = plugins.load(kind, plugin_name(name))
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
-    asked = dict(case.settings.get(key, {}))
-    if kind == "drivers":
-        asked = own_settings(name, asked)
+    own = dict(case.settings.get(key, {}))
+    asked = own_settings(name, own) if kind == "drivers" else own
     offered = given or {}
     if hasattr(plugin, "Settings"):
         for clash in sorted(set(offered) & set(asked)):

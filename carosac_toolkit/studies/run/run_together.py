@@ -47,9 +47,8 @@ def group_of(case: Case) -> str | None:
     parts = [plugins.load("controllers", plugin_name(case.controller))]
     if case.estimator != "truth":
         parts.append(plugins.load("estimators", plugin_name(case.estimator)))
-    if replays(driver) or not hasattr(driver, "build_batch"):
-        return None
-    if not all(getattr(part, "batched", False) for part in parts):
+    together = all(getattr(part, "batched", False) for part in parts)
+    if replays(driver) or not hasattr(driver, "build_batch") or not together:
         return None
     return canonical(case.to_dict() | {"seed": None})
 
