@@ -90,6 +90,8 @@ class CommandChecks:
     def check(self, host: dict[str, Any], position: Array, *, now: float, standing: bool) -> Fault:
         """Count one new command; return the fault that forbids to follow it, if any.
 
+        A host that goes on elsewhere after its commands have run out was away.
+
         Args:
             host: Members of `blocks.from_host` by name.
             position: Present set positions [unit], shape (n,).
@@ -110,7 +112,7 @@ class CommandChecks:
             return Fault.COMMAND
         if standing and (np.abs(length - position) > limits.step).any():
             counters.jumps += 1
-            return Fault.COMMAND
+            return Fault.COMMAND if self._period == 0.0 else Fault.HEARTBEAT_LOST
         elapsed, gap = now - self._time, (host["command"] - self._number) % 2**32
         self._number, self._period, self._time = host["command"], period, now
         duration = min(gap * period, elapsed + ARRIVAL_JITTER_MAX_S)

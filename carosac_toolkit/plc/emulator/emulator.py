@@ -30,7 +30,8 @@ class Emulator:
     """A PLC with its robot; `run` is its task.
 
     Its clock is the number of its cycles: while the process did not get to run, the clock, the
-    watchdog and the robot stood still together; `lost_time` adds these times up.
+    watchdog and the robot stood still together; `lost_time` adds these times up, and one longer
+    than the watchdog's counts as silence of the host.
 
     Attributes:
         machine: Program of the PLC.
@@ -127,6 +128,8 @@ class Emulator:
             if late > CATCH_UP_CYCLES_MAX * cycle:
                 self.lost_time += late
                 origin += late
+                with self._whole_cycle:
+                    self.machine.held_up(late)
 
     def step(self) -> None:
         """Run one PLC cycle."""

@@ -171,9 +171,16 @@ class Machine:
 
     def stop(self, fault: Fault, axis: int = 0) -> None:
         """Latch a fault unless one is latched already, and ramp to rest."""
-        if self.state not in (DriveState.FAULT, DriveState.ESTOP):
-            self.state, self.fault, self.fault_axis = DriveState.FAULT, fault, axis
-            self._host.playback = None
+        if self.fault is Fault.NONE:
+            self.fault, self.fault_axis = fault, axis
+        if self.state is not DriveState.ESTOP:
+            self.state = DriveState.FAULT
+        self._host.playback = None
+
+    def held_up(self, duration: float) -> None:
+        """Take note that this program could not run for a time [s], and not watch the host."""
+        if duration >= self._watchdog:
+            self._lose_host()
 
     def _listen(self, host: dict[str, Any]) -> None:
         """Take over new data of a host, if it is the one that counts."""
@@ -278,11 +285,15 @@ class Machine:
         own.starved = own.starved + self._cycle if starves else 0.0
         if max(own.silent, own.starved) < self._watchdog:
             return
+        if self.state not in _DRIVES_ON and self.winches.at_rest:
+            self._release()
+        self._lose_host()
+
+    def _lose_host(self) -> None:
+        """Latch that the host is not there, if it could move winches."""
         if self.state in _DRIVES_ON:
             self.counters.watchdog += 1
             self.stop(Fault.HEARTBEAT_LOST)
-        elif self.winches.at_rest:
-            self._release()
 
     def _release(self) -> None:
         """Obey nobody."""

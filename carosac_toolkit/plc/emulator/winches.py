@@ -10,6 +10,7 @@ from carosac_toolkit.base.arrays import Array
 
 BRAKE_RATIO = 2.0  # deceleration by the brake of a tripped drive over the acceleration limit
 BRAKING_SHARE = 0.8  # of the acceleration limit, with which braking to a goal is planned
+RETURN_RATIO = 0.002  # of the speed limit, with which winches go back to a goal they have passed
 END_TOLERANCE = 1e-5  # share of the travel that rounding may take a set position beyond an end
 
 
@@ -68,6 +69,7 @@ class Winches:
         """Set the set positions, at rest."""
         self.position = np.array(position, dtype=np.float64)
         self.speed = np.zeros_like(self.position)
+        self._direction = np.zeros_like(self.position)
         self._start: tuple[Array, Array] | None = None
         self._braked = np.zeros(len(self.position), dtype=bool)
 
@@ -81,10 +83,10 @@ class Winches:
         return bool((above | below).any())
 
     def follow(self, goal: Array, rate: Array, time_constant: float) -> None:
-        """Move one cycle towards a moving goal, each winch within its own limits.
+        """Move one cycle towards a moving goal, within the limits of each winch.
 
-        Distances vanish in proportion. A winch ahead of its goal waits for it rather than turn
-        back.
+        Distances vanish in proportion, and speeds change in proportion. Winches that are ahead of
+        their goal wait for it; if it stops behind them, they go back at `RETURN_RATIO`.
 
         Args:
             goal: Position of the goal at the end of this cycle [unit], shape (n,).
@@ -98,15 +100,19 @@ class Winches:
         brake = BRAKING_SHARE * limits.acceleration
         distance = np.maximum(np.abs(error), 1e-12)
         closing = min(1.0 / time_constant, float(np.sqrt(2.0 * brake / distance).min()))
+        back = RETURN_RATIO * limits.speed
+        direction = np.where(np.abs(rate) > back, np.sign(rate), self._direction)
+        room = np.where(error * direction < 0.0, (np.abs(rate) + back) / distance, np.inf)
+        wanted = rate + min(closing, float(room.min())) * error
         change_max = limits.acceleration * cycle
-        wanted = rate + closing * error
-        wanted = np.where((wanted * rate < 0.0) & (np.abs(rate) > change_max), 0.0, wanted)
-        down, up = self._ends(brake)
-        wanted = np.clip(wanted, -np.minimum(limits.speed, down), np.minimum(limits.speed, up))
         still = (np.abs(error) < 1e-9) & (rate == 0.0) & (np.abs(self.speed) <= change_max)
-        change = np.clip(wanted - self.speed, -change_max, change_max)
-        change = np.where(still, -self.speed, change)
-        self._advance(self.speed + change)
+        change = np.where(still, 0.0, wanted) - self.speed
+        change *= min(1.0, float((change_max / np.maximum(np.abs(change), 1e-300)).min()))
+        down, up = self._ends(brake)
+        ended = np.clip(
+            self.speed + change, -np.minimum(limits.speed, down), np.minimum(limits.speed, up)
+        )
+        self._advance(np.clip(ended, self.speed - change_max, self.speed + change_max))
 
     def ramp(self, tripped: Array) -> None:
         """Move one cycle of the ramp to rest: all winches slow down by one common factor.
@@ -165,5 +171,7 @@ class Winches:
         change = np.abs(speed - self.speed) / self._cycle
         self.position = self.position + 0.5 * (self.speed + speed) * self._cycle
         self.speed = speed
+        moving = np.abs(speed) > 2.0 * RETURN_RATIO * self._limits.speed
+        self._direction = np.where(moving, np.sign(speed), self._direction)
         self.speed_peak = np.maximum(self.speed_peak, np.abs(speed))
         self.acceleration_peak = np.maximum(self.acceleration_peak, change)

@@ -9,6 +9,7 @@ from carosac_toolkit.plc.blocks import BLOCK_LAYOUT, Answer, Request
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
 from carosac_toolkit.plc.emulator.winches import BRAKE_RATIO, BRAKING_SHARE, Winches, WinchLimits
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
+from carosac_toolkit.safety.stop import CoordinatedStop
 from tests.robots import simple_robot
 
 CYCLE, PERIOD, WATCHDOG = 0.005, 0.01, 0.1
@@ -26,8 +27,8 @@ LIMITS = WinchLimits(
 class Rig:
     """A machine whose winches stand exactly where they are told, and a host that writes."""
 
-    def __init__(self):
-        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG, identity=IDENTITY)
+    def __init__(self, watchdog=WATCHDOG):
+        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=watchdog, identity=IDENTITY)
         self.machine.place(START)
         self.offset = np.zeros(4)  # what the encoders say too much
         self.machine.reference = np.zeros(4)
@@ -315,7 +316,72 @@ def test_commands_that_come_again_at_rest_must_begin_where_the_winches_stand(rig
     rig.cycles(round(0.09 / CYCLE))
     rig.host["length"] = rig.machine.winches.position + 0.04
     rig.send(rig.host["length"])
-    assert (rig.machine.fault, rig.machine.counters.jumps) == (Fault.COMMAND, 1)
+    assert (rig.machine.fault, rig.machine.counters.jumps) == (Fault.HEARTBEAT_LOST, 1)
+
+
+def approach(rig, speed):
+    """Follow a straight line in length space up to a speed [m/s]; the limiter and the speeds."""
+    limiter = Limiter(ROBOT, LimitSettings(box=False), period=PERIOD)
+    length = rig.machine.winches.position.copy()
+    limiter.reset(length[None])
+    rates = speed * np.array([1.0, -0.7, 0.3, 0.004])
+    for share in np.minimum(1.0, 0.02 / speed * np.arange(100)):
+        length = length + share * rates * PERIOD
+        sent = limiter.apply(Command(time=np.zeros(1), unstrained_length=length[None]))
+        rig.send(sent.unstrained_length[0])
+    return limiter, rates
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.8, 1.5])
+@pytest.mark.parametrize("silent_cycles", [2, 6, 10, 18])
+def test_winches_that_passed_the_end_of_a_late_stop_creep_back_together(rig, speed, silent_cycles):
+    """A host that hangs lets the winches go on, or ramp, and then stops them behind there."""
+    rig.ask(Request.ENABLE)
+    limiter, rates = approach(rig, speed)
+    rig.cycles(silent_cycles)
+    since = len(rig.positions) - silent_cycles - 1
+    stop = CoordinatedStop(limiter, np.zeros(4))
+    while not limiter.stopped:
+        rig.send(stop.step(np.zeros(1)).unstrained_length[0])
+    for _ in range(40):
+        rig.send(rig.host["length"])
+    speeds = np.diff(rig.positions[since:], axis=0) / CYCLE
+    back, apart = shared_factors(speeds, rates)
+    assert back < 0.0051  # two thousandths of the speed limit
+    assert apart < 0.005
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
+
+
+def test_winches_at_rest_ahead_of_a_repeated_command_creep_back_to_it():
+    rig = Rig(watchdog=0.5)
+    rig.ask(Request.ENABLE)
+    approach(rig, 0.4)
+    rig.cycles(40)
+    assert rig.machine.winches.at_rest
+    ahead = rig.machine.winches.position - rig.host["length"]
+    assert np.abs(ahead).max() > 0.01
+    since = len(rig.positions) - 1
+    for _ in range(600):
+        rig.send(rig.host["length"])
+    speeds = np.diff(rig.positions[since:], axis=0) / CYCLE
+    assert np.abs(speeds).max() < 0.0051
+    assert rig.machine.winches.position == pytest.approx(rig.host["length"], abs=1e-6)
+
+
+@pytest.mark.parametrize(("paused", "fault"), [(0.09, Fault.NONE), (0.11, Fault.HEARTBEAT_LOST)])
+def test_a_program_that_was_held_up_longer_than_the_watchdog_stops(rig, paused, fault):
+    """It cannot know whether the host was there; data that waited meanwhile are no sign of it."""
+    rig.ask(Request.ENABLE)
+    approach(rig, 0.4)
+    before, since = rig.machine.winches.speed.copy(), len(rig.positions) - 1
+    rig.machine.held_up(paused)
+    rig.send(rig.host["length"] + np.array([0.004, 0, 0, 0]))
+    assert rig.machine.fault is fault
+    rig.cycles(40)
+    if fault is not Fault.NONE:
+        speeds = np.diff(rig.positions[since:], axis=0) / CYCLE
+        back, apart = shared_factors(speeds, before)
+        assert back <= 1e-9 and apart < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -494,6 +560,16 @@ def test_the_emergency_stop_is_a_status_until_it_is_closed_and_reset(rig):
     rig.cycles(5)
     assert rig.machine.state is DriveState.ESTOP
     assert rig.ask(Request.RESET) is Answer.DONE
+
+
+def test_a_fault_that_a_host_hands_over_during_an_emergency_stop_is_held(rig):
+    rig.host = rig.host | {"fault": Fault.CONTROLLER.number}
+    rig.ask(Request.ENABLE)
+    rig.move(0.2)
+    rig.machine.wires.estop = True
+    rig.cycles()
+    assert rig.ask(Request.HOLD) is Answer.DONE
+    assert (rig.machine.state, rig.machine.fault) == (DriveState.ESTOP, Fault.CONTROLLER)
 
 
 def test_an_encoder_that_jumps_is_a_fault_and_set_points_follow_it_on_enable(rig):
