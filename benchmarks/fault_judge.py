@@ -25,7 +25,8 @@ REST_DRIFT = 1e-4  # [m] that a set position moves after rest
 STOP_ACCELERATION_SHARE = 0.4  # of the limit; paths here ask for 0.8 of 5 m/s^2
 RECORDED_TOLERANCE = 1e-6  # [m]
 FIRST_ROWS = 5  # among which the first command is
-DRIVES_ON = (1, 2)  # drive holding, drive moving
+TRIPPED = 3  # the brake of the drive stops it
+DRIVES_ON = (1, 2, TRIPPED)  # drive holding, drive moving
 
 
 @dataclass(frozen=True)
@@ -45,19 +46,19 @@ class Machine:
 
 @dataclass(frozen=True)
 class SetPoints:
-    """Set points of the PLC while the drives were on, once a cycle.
+    """Set points of the PLC while no drive was off, once a cycle.
 
     Attributes:
         at: Time at which they were read, by the monotonic clock [s], shape (K,).
         time: By the clock of the PLC [s], shape (K,).
         length: [m], shape (K, 4).
-        state: State of the PLC, shape (K,).
+        tripped: Whether the brake of a winch stops it, shape (K, 4).
     """
 
     at: Array
     time: Array
     length: Array
-    state: Array
+    tripped: Array
 
     @property
     def speed(self) -> Array:
@@ -66,7 +67,7 @@ class SetPoints:
 
 
 def set_points(at: Array, cycles: Array, machine: Machine) -> SetPoints:
-    """Return the set points of all cycles in which every drive held or moved.
+    """Return the set points of all cycles in which no drive was off.
 
     Args:
         at: When each was read [s], shape (K,).
@@ -77,7 +78,7 @@ def set_points(at: Array, cycles: Array, machine: Machine) -> SetPoints:
     new = np.concatenate([[True], np.diff(cycles["time"]) > 0.0])
     at, cycles = at[on & new], cycles[on & new]
     length = cycles["set_length"] * machine.scale
-    return SetPoints(at, cycles["time"], length, cycles["state"])
+    return SetPoints(at, cycles["time"], length, cycles["drive_status"] == TRIPPED)
 
 
 def stop_range(points: SetPoints, fault_at: float, machine: Machine) -> tuple[int, int]:
@@ -97,12 +98,13 @@ def stop_range(points: SetPoints, fault_at: float, machine: Machine) -> tuple[in
 
 
 def judge_limits(points: SetPoints, machine: Machine) -> list[str]:
-    """Return each limit of a winch that its set points broke."""
+    """Return each limit of a winch that its set points broke; a brake has no such limit."""
     speed, duration = points.speed, np.diff(points.time)
     next_to = duration < 1.5 * np.median(duration)  # no cycle was missed between them
     pair = next_to[1:] & next_to[:-1]
     middle = 0.5 * (duration[1:] + duration[:-1])[:, None]
-    acceleration = np.abs(np.diff(speed, axis=0) / middle)[pair]
+    acceleration = np.abs(np.diff(speed, axis=0) / middle)
+    acceleration = np.where(points.tripped[2:], 0.0, acceleration)[pair]
     shares = {
         "speed": (np.abs(speed) / machine.speed_max, SPEED_TOLERANCE),
         "acceleration": (acceleration / machine.acceleration_max, ACCELERATION_TOLERANCE),

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 PORT = 48898  # TCP port of ADS
-POLL_S = 0.002  # a PLC cycle takes 5 ms
+POLL_S = 0.003  # a PLC cycle takes 5 ms
 DELAY_S = 0.3  # of a slow network
 AWAY_S = 1.0  # for which a dropped connection cannot be opened again
 # Target, port, source, port, command, flags, size, error, number.

@@ -49,11 +49,14 @@ from carosac_toolkit.robot.file import parse_robot, robot_text
 
 TIMES = 60
 PATIENCE_S = 12.0  # for anything to happen
+POLL_S = 0.01  # between two looks at the PLC
 MOVING = 0.1  # [m/s] from which on a fault may come
+SHIFT_M, NEW_HOME_SHIFT_M = 0.05, 0.3  # of the encoders; beyond 0.1 m the first way is slow
 SILENCE_S = 0.2  # that either side takes for a fault: other programs run here
 STATED_S = 1.0  # from the fault to rest: to notice it, 0.5 s from 2.5 m/s, and the machine
 AFTER_REST_S = 0.5  # for which the winches are watched after a stop
-NOT_HELD = ("PLC killed", "Ctrl-C")  # nobody is left who could hold the fault, or there is none
+NEW_HOME = "Ctrl-C after a new home"
+NOT_HELD = ("PLC killed", "Ctrl-C", NEW_HOME)  # nobody is left to hold a fault, or there is none
 ALONE = ("drive trip",)  # one winch is stopped by its brake: no common ramp
 ASKED = "then reset"  # what a start says that a fault of before refuses
 NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES, EXITS = range(7)
@@ -156,11 +159,14 @@ def child(work: Callable[[], int], output: Path) -> int:
         os._exit(status)
 
 
-def plc(trial: Trial, check: bool) -> int:
+def plc(trial: Trial, name: str) -> int:
     """The PLC process."""
     take_priority("plc")
     robot = ct.load_robot(trial.folder / "plc.yaml")
-    settings = EmulatorSettings(encoder_check=check, shift=0.05, watchdog=SILENCE_S)
+    settings = EmulatorSettings(
+        encoder_check="by the host" not in name, watchdog=SILENCE_S,
+        shift=NEW_HOME_SHIFT_M if name == NEW_HOME else SHIFT_M,
+    )  # fmt: skip
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     with short_pauses():
@@ -206,12 +212,12 @@ def observe(trial: Trial) -> int:
         return Observer(trial.ip, trial.plc_ip, trial.folder, DISTURBANCE).run()
 
 
-def prepare(trial: Trial, check: bool) -> None:
+def prepare(trial: Trial, name: str) -> None:
     """Start all processes and wait until the winches move."""
     robot_file(trial, "robot.yaml", trial.ip)
     robot_file(trial, "plc.yaml", trial.plc_ip)
     WHAT.value, DISTURBANCE.value = NOTHING, Disturbance.NONE
-    trial.plc = child(lambda: plc(trial, check), trial.folder / "plc.txt")
+    trial.plc = child(lambda: plc(trial, name), trial.folder / "plc.txt")
     until(lambda: connected(trial), "the PLC did not start")
     trial.observer = child(lambda: observe(trial), trial.folder / "observer.txt")
     trial.host = child(lambda: host(trial), trial.folder / "host.txt")
@@ -238,7 +244,7 @@ def until(condition: Callable[[], bool], message: str, patience: float = PATIENC
     while not condition():
         if time.monotonic() - began > patience:
             raise TimeoutError(message)
-        time.sleep(0.002)
+        time.sleep(POLL_S)
     return time.monotonic() - began
 
 
@@ -282,6 +288,7 @@ FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
     "host frozen": (lambda t: os.kill(t.host, signal.SIGSTOP), "heartbeat_lost"),
     "host killed -9": (lambda t: os.kill(t.host, signal.SIGKILL), "heartbeat_lost"),
     "Ctrl-C": (lambda t: os.kill(t.host, signal.SIGINT), "none"),
+    NEW_HOME: (lambda t: os.kill(t.host, signal.SIGINT), "none"),
     "encoder jump, seen by the PLC": (
         lambda t: t.client.inject(Injection.JUMP, 1, 0.05), "encoder_jump"),
     "encoder jump, seen by the host": (
@@ -310,7 +317,7 @@ def run_trial(name: str, rng: np.random.Generator, number: int, keep: Path | Non
     with tempfile.TemporaryDirectory() as folder:
         trial = Trial(ip=ip, folder=Path(folder), wait=rng.uniform(0.0, 2.0))
         try:
-            prepare(trial, check="by the host" not in name)
+            prepare(trial, name)
             time.sleep(trial.wait)
             trial.fault_at = time.monotonic()
             inject(trial)
@@ -403,7 +410,7 @@ def try_again(trial: Trial, name: str) -> None:
     began = time.monotonic()
     while not ended(trial.host) and time.monotonic() - began < PATIENCE_S:
         fastest = max(fastest, speed(trial))
-        time.sleep(0.002)
+        time.sleep(POLL_S)
     message = (trial.folder / "again.txt").read_text()
     if fastest > 0.0:
         trial.problems.append(f"moved again without a reset: {fastest:.2f} m/s")

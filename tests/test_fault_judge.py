@@ -25,7 +25,7 @@ def stopping(factor: Array, extra: Array | float = 0.0) -> fault_judge.SetPoints
     speed[100 : 100 + len(np.atleast_1d(extra)), 1] += extra
     length = np.concatenate([np.zeros((1, 4)), np.cumsum(speed * CYCLE_S, axis=0)])
     time = CYCLE_S * np.arange(len(length))
-    return fault_judge.SetPoints(time, time, length, np.full(len(time), 4))
+    return fault_judge.SetPoints(time, time, length, np.zeros_like(length, dtype=bool))
 
 
 def ramp() -> Array:
@@ -58,6 +58,10 @@ def test_set_points_beyond_a_limit_are_named():
     messages = fault_judge.judge_limits(stopping(ramp()), weak)
     assert [m.split()[0] for m in messages] == ["speed", "acceleration"]
     assert "1.33" in messages[1]  # 4 m/s^2 of 3
+    points = stopping(ramp())
+    points.tripped[100:, 0] = True
+    (message,) = fault_judge.judge_limits(points, weak)  # of its brake nothing is asked
+    assert message.split()[0] == "speed"
 
 
 def test_commands_without_a_row_are_counted_whatever_the_offset(tmp_path: Path):
