@@ -23,6 +23,7 @@ FACTOR_TOLERANCE = 0.02  # share of the largest speed by which winches leave the
 REST_SPEED = 1e-4  # [m/s]
 REST_DRIFT = 1e-4  # [m] that a set position moves after rest
 STOP_ACCELERATION_SHARE = 0.4  # of the limit; paths here ask for 0.8 of 5 m/s^2
+HIGH_SPEED_SHARE = 0.7  # of the largest speed after the fault; no winch turns back that fast
 RECORDED_TOLERANCE = 1e-6  # [m]
 FIRST_ROWS = 5  # among which the first command is
 TRIPPED = 3  # the brake of the drive stops it
@@ -84,17 +85,23 @@ def set_points(at: Array, cycles: Array, machine: Machine) -> SetPoints:
 def stop_range(points: SetPoints, fault_at: float, machine: Machine) -> tuple[int, int]:
     """Return the first and last interval of the stop; it ends with the data if there is no rest.
 
-    A stop begins where set points first change faster after the fault than on any path here.
+    After the fault, winches may brake and go on, as where the host was late. The stop is the last
+    time that they begin to brake from high speed, harder than on any path here.
     """
     speed = points.speed
-    moving = np.flatnonzero(np.abs(speed).max(axis=1) > REST_SPEED)
+    fastest = np.abs(speed).max(axis=1)
+    moving = np.flatnonzero(fastest > REST_SPEED)
     last = int(moving[-1]) if len(moving) else 0
-    share = np.abs(np.diff(speed, axis=0)) / np.diff(points.time)[1:, None]
-    braking = (share > STOP_ACCELERATION_SHARE * machine.acceleration_max).any(axis=1)
-    begun = np.flatnonzero(braking & (points.at[2:] > fault_at))
-    if not len(begun) or begun[0] > last:
+    change = np.diff(speed, axis=0)
+    hard = np.abs(change) / np.diff(points.time)[1:, None] > (
+        STOP_ACCELERATION_SHARE * machine.acceleration_max
+    )
+    braking = hard.any(axis=1) & ((change * speed[:-1]).sum(axis=1) < 0.0)
+    onsets = np.flatnonzero(braking & ~np.append(False, braking[:-1]) & (points.at[2:] > fault_at))
+    if not len(onsets) or onsets[0] > last:
         raise CarosacError("judge: the winches had stopped before the fault")
-    return int(begun[0]), last
+    high = fastest[onsets] >= HIGH_SPEED_SHARE * fastest[onsets[0] :].max()
+    return int(onsets[high][-1]), last
 
 
 def judge_limits(points: SetPoints, machine: Machine) -> list[str]:

@@ -41,6 +41,17 @@ def test_a_common_ramp_neither_turns_back_nor_spreads():
     assert stop.duration == pytest.approx(0.8 / DECELERATION, abs=2.0 * CYCLE_S)
 
 
+def test_a_stop_after_a_late_host_begins_where_the_winches_brake_for_good():
+    factor = np.concatenate([ramp()[:10], ramp()[10::-1], np.ones(30)])
+    points = stopping(np.concatenate([factor, ramp()]))
+    turned = points.length.copy()
+    turned[:100, 2] += 0.05 * np.arange(100)[::-1] * CYCLE_S  # the path bends meanwhile
+    points = fault_judge.SetPoints(points.at, points.time, turned, points.tripped)
+    stop = fault_judge.judge_stop(points, 0.3, MACHINE)
+    assert stop.spread == pytest.approx(0.0, abs=1e-9)
+    assert stop.rest_at - stop.duration == pytest.approx(CYCLE_S * (100 + len(factor)), abs=0.02)
+
+
 def test_a_winch_that_drives_back_is_seen_with_its_speed():
     drive_back = np.concatenate([np.zeros(45), np.full(10, 0.2)])  # against -0.5 m/s, once at rest
     stop = fault_judge.judge_stop(stopping(ramp(), drive_back), 0.49, MACHINE)
