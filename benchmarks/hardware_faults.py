@@ -464,6 +464,7 @@ def main() -> None:
     parser.add_argument("faults", nargs="*", default=list(FAULTS))
     parser.add_argument("--jobs", type=int, default=1, help="trials at the same time")
     parser.add_argument("--rows", type=Path, help="where one job keeps its rows")
+    parser.add_argument("--merge", type=Path, nargs="+", help="make the table of such files")
     parser.add_argument("--keep", type=Path, help="folder in which all files of trials are kept")
     options = parser.parse_args()
     if unknown := set(options.faults) - set(FAULTS):
@@ -472,6 +473,9 @@ def main() -> None:
         seed = list(FAULTS).index(options.faults[0])
         rows = measure(options.faults, options.times, seed, options.keep)
         options.rows.write_text(json.dumps(rows))
+        return
+    if options.merge:
+        publish(options.merge, list(FAULTS), " ".join(["--merge", *map(str, options.merge)]))
         return
     with tempfile.TemporaryDirectory() as folder:
         jobs = []
@@ -483,11 +487,18 @@ def main() -> None:
             jobs.append((subprocess.Popen(command), file))
         if any(job.wait() for job, _ in jobs):
             sys.exit("hardware_faults: a job failed")
-        found = {row[0]: row for _, file in jobs for row in json.loads(file.read_text())}
-    text = table(HEADER, [found[name] for name in options.faults])
+        whole = options.times >= TIMES and len(options.faults) == len(FAULTS)
+        command = f"--jobs {options.jobs}" if whole else None
+        publish([file for _, file in jobs], options.faults, command)
+
+
+def publish(files: list[Path], faults: list[str], options: str | None) -> None:
+    """Print the table of what jobs found; write it where they ran by these `options`."""
+    rows = {row[0]: row for file in files for row in json.loads(file.read_text())}
+    text = table(HEADER, [rows[name] for name in faults])
     print(text)
-    if options.times >= TIMES and len(options.faults) == len(FAULTS):
-        command = f"python -m benchmarks.hardware_faults --jobs {options.jobs}"
+    if options is not None:
+        command = f"python -m benchmarks.hardware_faults {options}"
         write_section("hardware_faults", "Faults on the emulated PLC", command, text)
 
 
