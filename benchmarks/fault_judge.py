@@ -98,8 +98,11 @@ def stop_range(points: SetPoints, fault_at: float, machine: Machine) -> tuple[in
     )
     braking = hard.any(axis=1) & ((change * speed[:-1]).sum(axis=1) < 0.0)
     onsets = np.flatnonzero(braking & ~np.append(False, braking[:-1]) & (points.at[2:] > fault_at))
-    if not len(onsets) or onsets[0] > last:
+    after = np.flatnonzero(points.at[1:] > fault_at)
+    if not len(after) or after[0] > last:
         raise CarosacError("judge: the winches had stopped before the fault")
+    if not len(onsets) or onsets[0] > last:
+        return int(after[0]), last  # so slow that they are at rest within a cycle or two
     high = fastest[onsets] >= HIGH_SPEED_SHARE * fastest[onsets[0] :].max()
     return int(onsets[high][-1]), last
 

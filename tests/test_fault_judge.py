@@ -52,6 +52,14 @@ def test_a_stop_after_a_late_host_begins_where_the_winches_brake_for_good():
     assert stop.rest_at - stop.duration == pytest.approx(CYCLE_S * (100 + len(factor)), abs=0.02)
 
 
+def test_a_stop_from_creeping_takes_a_cycle():
+    points = stopping(np.ones(1))
+    slow = fault_judge.SetPoints(points.at, points.time, 0.02 * points.length, points.tripped)
+    stop = fault_judge.judge_stop(slow, 0.49, MACHINE)
+    assert stop.rest_at == pytest.approx(0.505, abs=1e-9)
+    assert stop.reversal == stop.spread == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_winch_that_drives_back_is_seen_with_its_speed():
     drive_back = np.concatenate([np.zeros(45), np.full(10, 0.2)])  # against -0.5 m/s, once at rest
     stop = fault_judge.judge_stop(stopping(ramp(), drive_back), 0.49, MACHINE)

@@ -36,11 +36,11 @@ from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import KEYS_HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.messages import say
+from carosac_toolkit.live.paced_path import PacedPath
 from carosac_toolkit.live.real_time import RealTime, short_pauses
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
-from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.loop import Step
 from carosac_toolkit.loop.loop import run as run_loop
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
@@ -112,7 +112,7 @@ def _prepared(options: Options, guard: GuardedDriver) -> Iterator[RealTime | Non
 
 
 def _run(
-    options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
+    options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: PacedPath,
     statistics: Statistics, real_time: RealTime | None,
 ) -> tuple[bool, BaseException | None]:  # fmt: skip
     """Run the loop; return whether it came to its end, and an error once it was connected."""
@@ -122,6 +122,8 @@ def _run(
         statistics(step)
         if real_time is not None:
             real_time.cycle()
+        if options.duration is None and path.past_end >= REST_S:
+            guard.end("end of the trajectory")
 
     try:
         log = run_loop(

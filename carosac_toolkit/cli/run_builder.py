@@ -41,6 +41,10 @@ RESERVED_SETTINGS = {
     "motion": "--enable",
     "period": "--rate, or controller.NAME.period",
     "real_time": "no other value: a live run takes the time of the wall",
+    "home_anew": "--home-anew",
+    "home_confirmed": "--home-confirmed",
+    "home_change_max": "--home-anew, for a pose that was measured",
+    "first_speed": f"no other value: {TENSION_CHECK_SPEED_MAX:g} m/s of the platform",
 }  # which --set may not change, and the option that does
 
 
@@ -83,6 +87,7 @@ def make_guard(
         "speed_max": WINCH_RATE_RATIO * options.speed,
         "tension_shift_max": TENSION_SHIFT_MAX if slow else None,
         "first_shift_max": TENSION_SHIFT_MAX,
+        "first_speed": WINCH_RATE_RATIO * TENSION_CHECK_SPEED_MAX,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
@@ -126,7 +131,7 @@ def paced(path: Followed, options: Options, guard: GuardedDriver) -> PacedPath:
         return PacedPath(path)
     return PacedPath(
         path, slow=lambda: guard.monitor.checks.first_way, slow_speed=TENSION_CHECK_SPEED_MAX,
-        slow_way=guard.settings.first_way, speed=options.speed, acceleration=options.acceleration,
+        speed=options.speed, acceleration=options.acceleration,
     )  # fmt: skip
 
 

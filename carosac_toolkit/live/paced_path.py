@@ -29,7 +29,6 @@ class PacedPath:
     def __init__(
         self, path: ReferenceSource, *, slow: Callable[[], bool] | None = None,
         slow_speed: float = np.inf, speed: float = 1.0, acceleration: float = 1.0,
-        slow_way: float = 0.0,
     ) -> None:  # fmt: skip
         """Follow a path.
 
@@ -40,19 +39,24 @@ class PacedPath:
             slow_speed: Largest speed of the platform meanwhile [m/s].
             speed: Largest speed on the path [m/s].
             acceleration: Largest acceleration of the change to it [m/s^2].
-            slow_way: Way that is gone slowly [m].
         """
         self._path, self._slow = path, slow
         self._slow_speed, self._acceleration = slow_speed, acceleration
         self._rise_time = RISE_SHARE * speed / acceleration
         self.duration = path.duration
-        if slow is not None:
-            self.duration += 2.0 * (slow_way / slow_speed + speed / acceleration + self._rise_time)
+        if slow is not None:  # it may stay within the slow way to its end
+            self.duration *= max(1.0, speed / slow_speed)
+            self.duration += 2.0 * (speed / acceleration + self._rise_time)
         self._time: float | None = None
         self._done = 0.0  # of the path's time
         self._rate: float | None = None  # of it
         self._free_time = 0.0  # since the slow way was over
         self._pace = 0.0  # of the path by its own time [m/s]
+
+    @property
+    def past_end(self) -> float:
+        """Time since the end of the path, by the path's own time [s]; below 0 on it."""
+        return self._done - self._path.duration
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
         """Return the reference of the next cycle; see `Trajectory.window`.

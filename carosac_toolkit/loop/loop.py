@@ -166,7 +166,7 @@ def run(
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
-        if isinstance(error, Exception | SystemExit) and isinstance(driver, Supervisor):
+        if not isinstance(error, KeyboardInterrupt) and isinstance(driver, Supervisor):
             driver.fail("program", error)
         raise
     finally:
@@ -247,7 +247,7 @@ def _blamed(driver: Driver, part: str, plugin: object) -> Iterator[None]:
     try:
         with exit_refused(part, plugin):
             yield
-    except (Exception, KeyboardInterrupt) as error:
+    except BaseException as error:  # a task that is cancelled is no reason to let go unnoticed
         if isinstance(driver, Supervisor):
             driver.fail(part, error)
         raise

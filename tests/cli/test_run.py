@@ -288,6 +288,8 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--set", "driver.guard.motion=true"), "allowed: --enable"),
         (("--set", "driver.guard.period=0.5"), "allowed: --rate"),
         (("--set", "driver.real_time=false"), "a live run takes the time of the wall"),
+        (("--set", "driver.home_anew=true"), "--home-anew"),
+        (("--set", "driver.home_change_max=5"), "--home-anew, for a pose that was measured"),
         (("--set", "driver.guard.start_position=[0,0,2]"), "allowed: --home X Y Z"),
         (("--driver", "ads", *AWAY, "driver.motion=true"), "allowed: --enable"),
         (("--driver", "ads", *AWAY, "driver.inner.motion=true"), "allowed: --enable"),

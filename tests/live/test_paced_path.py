@@ -3,6 +3,7 @@ import pytest
 
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.paced_path import PacedPath
+from carosac_toolkit.live.sequence import Course
 from carosac_toolkit.trajectories import line
 from tests.robots import simple_robot
 
@@ -15,7 +16,7 @@ def followed(path, way):
     here = [START]
     start = PacedPath(
         path, slow=lambda: bool(np.linalg.norm(here[-1] - START) < way), slow_speed=SLOW,
-        slow_way=way, speed=FAST, acceleration=ACCELERATION,
+        speed=FAST, acceleration=ACCELERATION,
     )  # fmt: skip
     velocity = []
     for k in range(2000):
@@ -40,6 +41,21 @@ def test_the_first_way_is_gone_slowly_and_the_rest_as_fast_as_before():
     assert np.abs(np.diff(speed)).max() < 1.2 * ACCELERATION * PERIOD
     jerk = np.abs(np.diff(moved, n=2, axis=0)).max() / PERIOD**2
     assert jerk < 10.0 * ACCELERATION**2 / FAST  # no step in the acceleration of the positions
+
+
+def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end():
+    goal = START + np.array([0.0, 0.0, 0.05])
+    there_and_back = Course(
+        [line(START, goal, speed_max=FAST, acceleration_max=0.5),
+         line(goal, START, speed_max=FAST, acceleration_max=0.5)] * 5, rest=0.1,
+    )  # fmt: skip
+    paced = PacedPath(there_and_back, slow=lambda: True, slow_speed=SLOW, speed=FAST)
+    time, last = 0.0, None
+    while paced.past_end < 1.0:
+        last = paced.window(time, 0.0, PERIOD).position[0, 0]
+        time += PERIOD
+    assert last == pytest.approx(START, abs=1e-9)
+    assert 10 * 0.05 / SLOW < time < paced.duration + 1.0
 
 
 def test_a_hand_target_starts_slowly_too():

@@ -8,6 +8,7 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.loop.drive_state import DriveState
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.safety.guard import NotReady
 from tests.plc_process import plc_process
@@ -80,6 +81,16 @@ def test_encoders_alone_need_the_word_of_a_person(tmp_path, capsys):
         guard.close()
 
 
+def winch_rates(recording, home, robot):
+    """Distances of the sent lengths' positions from home [m], and the winches' rates [m/s]."""
+    rows = [json.loads(line) for line in recording.read_text().splitlines()]
+    by_time = {row["time"]: row["unstrained_length"] for row in rows if row.get("row") == "sent"}
+    sent = np.array(list(by_time.values()))
+    position = straight_line.forward_kinematics(robot, sent).position
+    rates = np.abs(np.diff(sent, axis=0)).max(axis=1) / 0.02
+    return np.linalg.norm(position[1:] - position[0], axis=1), rates
+
+
 @pytest.mark.parametrize("wiring", [(), ("--fault", "wrong_sign=2")], ids=["right", "wrong"])
 def test_a_fast_run_from_a_new_home_starts_slowly_and_sees_a_wrong_sign(tmp_path, wiring):
     """Tensions shift on the first centimetres, at 5 cm/s, whatever speed was asked for."""
@@ -101,4 +112,8 @@ def test_a_fast_run_from_a_new_home_starts_slowly_and_sees_a_wrong_sign(tmp_path
             assert np.linalg.norm(moved) < 0.1
         else:
             assert status == 0, found["reason"]
+            assert found["reason"] == "end of the trajectory"
+            way, rates = winch_rates(tmp_path / "run.jsonl", home, plc.robot)
+            assert rates[way < 0.08].max() < 0.0751  # the setting `first_speed`
+            assert rates.max() > 0.12
             assert moved == pytest.approx(goal - home, abs=0.1)  # it sways, more on a busy machine

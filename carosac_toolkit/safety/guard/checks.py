@@ -60,6 +60,7 @@ class Checks:
         self._settings = settings
         self._step = settings.step(robot)
         self._speed_max = settings.slowed(robot).speed_max
+        self.first_way = False
         self.restart(link_patience=0.0)
 
     def restart(self, *, link_patience: float) -> None:
@@ -78,7 +79,6 @@ class Checks:
         self._equilibrium: statics.Equilibrium | None = None
         self.position: Array | None = None
         self.tension: Array | None = None
-        self.first_way = False
         self._origin: Array | None = None
         self.standing(None)
 

@@ -62,10 +62,22 @@ class Commander:
     def follow(self, command: Command, actual: Array) -> Command:
         """Send a command within the limits; `actual` are the measured lengths [m], (1, n)."""
         self._stop = None
-        sent = self._limiter.apply(command, actual)
+        asked = self._slowed(command) if self._monitor.checks.first_way else command
+        sent = self._limiter.apply(asked, actual)
         acceleration = self._limiter.motion.acceleration[0]
         self._bend = self._bend + self._share * (acceleration - self._bend)
         return self._monitor.send(sent, self.motion, command)
+
+    def _slowed(self, command: Command) -> Command:
+        """Return a command that is gone towards no faster than `GuardSettings.first_speed`."""
+        settings, start = self._monitor.settings, self._limiter.motion.length
+        step = command.unstrained_length - start
+        share = settings.first_speed * settings.period / max(float(np.abs(step).max()), 1e-12)
+        if share >= 1.0:
+            return command
+        length = start + share * step
+        hits = changed("first_way", command, length)
+        return Command(time=command.time, unstrained_length=length, limited=tuple(hits))
 
     def brake(self, time: Array, asked: Command | None, why: str) -> Command:
         """Send the next command of the stop along the path, unless this period has its command.

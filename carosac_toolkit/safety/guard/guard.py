@@ -193,6 +193,7 @@ class GuardedDriver(MotionDriver):
         if moves:
             placed = settings.home_confirmed or set_down  # who sets it down knows where it is
             self.home(start, anew=settings.home_anew or set_down, confirmed=placed)
+            self.monitor.checks.first_way &= not set_down
             self.enable()
         elif settings.rehearse and not settings.motion:
             self.home(start, anew=settings.home_anew, confirmed=True)  # nothing moves

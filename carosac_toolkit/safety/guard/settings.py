@@ -22,7 +22,7 @@ UNITS_OF_FIELDS = {
         "belief_max", "workspace_margin", "home_change_max", "step_max", "first_way",
     ),
     "s": ("period", "hang_time", "slack_time", "record_lag", "stale_time"),
-    "m/s": ("speed_max",),
+    "m/s": ("speed_max", "first_speed"),
     "": ("tension_shift_max", "first_shift_max"),
 }  # fmt: skip
 NONE_ALLOWED = ("step_max", "speed_max", "stale_time", "tension_shift_max", "first_shift_max")
@@ -77,6 +77,7 @@ class GuardSettings:
             None: not checked, as sway shifts tensions too; for slow runs.
         first_way: Distance from where the robot is enabled at a new home within which it is to be
             moved slowly [m]; a home is new if it changed an offset by more than `home_change_max`.
+        first_speed: Largest rate of a winch on that way [m/s]: half more than that of the platform.
         first_shift_max: The same as `tension_shift_max`, within `first_way` alone.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
@@ -120,7 +121,8 @@ class GuardSettings:
     direction_max: float = 0.004
     tension_shift_max: float | None = None
     first_way: float = 0.1
-    first_shift_max: float | None = None
+    first_speed: float = 0.075
+    first_shift_max: float | None = 0.15
     closure_max: float = 0.03
     belief_max: float = 0.7
     workspace_margin: float = 0.3

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import errno
 import signal
 import threading
@@ -348,11 +349,12 @@ class SilentDriver(FailingDriver):
 def test_a_silent_link_is_a_lost_connection_once_its_patience_ends_and_no_fault_of_the_controller():
     """Also where the platform is so fast that its winches have left their last samples far."""
     inner = SilentDriver.build(ROBOT, QuasiStaticSettings(period=PERIOD), seed=1)
-    settings = GuardSettings(driver="quasi_static", period=PERIOD, motion=True)
+    settings = GuardSettings(driver="quasi_static", period=PERIOD, motion=True, speed_max=1.1)
     guard = GuardedDriver(inner, ROBOT, settings, real_time=False)
     guard.journal = Notes()
     guard.connect()
     drive(guard, 10, speed=1.0)
+    assert inner.lost_after * 1.0 > 0.8 * settings.step(ROBOT).max()
     inner.since = FailingDriver.measure(inner)
     begin, asked = float(inner.since.time[0]), standing(guard)
     lead = lengths_at(ROBOT.home_position) - lengths_at(
@@ -584,6 +586,36 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
     connected(start_position=tuple(wrong.position[0]), home_anew=True, home_confirmed=True).close()
 
 
+@pytest.mark.parametrize("reset", [False, True], ids=["at once", "after a fault"])
+def test_the_first_way_from_a_new_home_is_gone_slowly_whatever_is_asked_for(reset):
+    guard = connected(at_once=False)
+    guard.monitor.offset = np.full(4, 0.5)
+    guard.monitor.restart_checks()
+    guard.home(home_state(), anew=True, confirmed=True)
+    guard.enable()
+    if reset:
+        guard.inner.trip = True
+        to_the_end(guard)
+        guard.inner.trip = False
+        guard.reset_fault()
+        guard.enable()
+    since = len(guard.inner.seen)
+    for _ in range(150):
+        asked = lengths_at(guard.truth().position[0] + np.array([0.02, 0.0, 0.0]))
+        alive, sent = ask(guard, asked)
+        assert alive, guard.fault
+        assert guard.monitor.checks.first_way == ("first_way" in {h.limit for h in sent.limited})
+        if not guard.monitor.checks.first_way:
+            break
+    assert np.linalg.norm(guard.truth().position[0] - ROBOT.home_position) > 0.09
+    rates = np.abs(np.diff(guard.inner.seen[since:-1], axis=0)) / PERIOD
+    assert 0.07 < rates.max() < 0.0751
+    drive(guard, 40, speed=0.5)
+    assert within_limits(guard.inner.seen[since:])
+    assert (np.abs(np.diff(guard.inner.seen[since:], axis=0)) / PERIOD).max() > 0.15
+    guard.close()
+
+
 def test_a_dry_run_rehearses_homing_and_what_enabling_checks_and_sends_nothing():
     guard = connected(motion=False, rehearse=True)
     assert guard.state is DriveState.HOMED
@@ -736,6 +768,12 @@ def test_the_loop_runs_to_the_end_and_leaves_the_robot_at_rest():
         ({"fails_at": 40, "error": ZeroDivisionError("oops")}, Fault.CONTROLLER, ZeroDivisionError),
         ({"fails_at": 40, "error": BadPlugin("no")}, Fault.CONTROLLER, BadPlugin),
         ({"fails_at": 40, "error": SystemExit(0)}, Fault.CONTROLLER, BadPlugin),
+        ({"fails_at": 40, "error": GeneratorExit()}, Fault.CONTROLLER, GeneratorExit),
+        (
+            {"fails_at": 40, "error": asyncio.CancelledError()},
+            Fault.CONTROLLER,
+            asyncio.CancelledError,
+        ),
         ({"fails_at": 40}, Fault.COMMAND, InvalidField),
     ],
 )
@@ -748,6 +786,21 @@ def test_a_controller_that_fails_is_named_and_the_robot_stops(broken, fault, kin
     assert within_limits(guard.inner.seen)
     assert "at_rest" in guard.journal.names()
     assert guard.state is DriveState.DISCONNECTED
+
+
+@pytest.mark.parametrize("error", [SystemExit, GeneratorExit, ZeroDivisionError])
+def test_a_program_that_fails_while_the_winches_follow_is_a_fault(error):
+    guard, cycles = guarded(), []
+
+    def watch(step):
+        cycles.append(step)
+        if len(cycles) == 40:
+            raise error
+
+    with pytest.raises(error):
+        run(guard, Holding(), Holding(), path(), watch=watch)
+    assert guard.fault is not None
+    assert "at_rest" in guard.journal.names()
 
 
 @pytest.mark.parametrize("operator", [True, False])
