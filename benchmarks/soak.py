@@ -30,7 +30,7 @@ TARGET_EVERY_S = 4.0
 SAMPLE_EVERY_S = 10.0
 STEP_M = 0.25  # of the target to either side of home
 SPEED = 0.3  # [m/s]
-SILENCE_S = 0.25  # that either side takes for a fault: other programs run here
+SILENCE_S = 0.5  # that either side takes for a fault, as for any emulated PLC
 MEGABYTE = 2**20
 
 
