@@ -25,6 +25,9 @@ from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.recordings.files import load_recording, save_recording
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies import read_cases, read_rows
+from carosac_toolkit.studies.run.folder import MANIFEST_FILE, opened
+from carosac_toolkit.studies.run.rows import make_row
 from learned.learning_curve import CURVE_COLUMNS, read_curve, read_episodes, write_curve
 from learned.policy_file import Policy
 from learned.training_record import SETTINGS_FILE, read_record
@@ -52,8 +55,10 @@ from tests.interchange.models import (
 )
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
+from tests.studies.functions import some_cases
 
 JSON = (*MUTATORS_OF_TEXT, json_changed)
+PART_FILE = "part-00000000.parquet"
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,29 @@ def _run(path: Path) -> None:
         recorder.believed(Belief(time=time, position=np.ones((1, 3)), rotation=np.eye(3)[None]))
         recorder.event(0.01 * k, "enabled", "")
     recorder.close()
+
+
+def _study(name: str) -> bytes:
+    """Return a file of a small study, with a column of each kind."""
+    cases = some_cases(3, duration=0.5, weights={"sway": [1]})
+    values = {"real": 0.5, "whole": 3, "text": "x", "flag": True, "big": 2**70, "none": None}
+    rows = [make_row(case, "ok", wall_time=0.0, values=values) for case in cases]
+    rows[1] |= {"status": "failed", "reason": "ValueError", "whole": "three"}
+
+    def write(path: Path) -> None:
+        with opened(path.parent, cases, "a:b") as store:
+            store.append(rows)
+
+    return written(write, name)
+
+
+def _read_study(path: Path) -> None:
+    """Read a study, and open it to go on with the cases that it had."""
+    read_cases(path.parent)
+    read_rows(path.parent)
+    with opened(path.parent, some_cases(3, duration=0.5, weights={"sway": [1]}), "a:b") as store:
+        store.merge()
+        store.forget(["failed"])
 
 
 def _mats() -> list[bytes]:
@@ -248,6 +276,11 @@ def targets() -> tuple[Target, ...]:
                (*MUTATORS_OF_BYTES, _parquet_changed)),
         Target("log (jsonl)", "run.jsonl", lambda: [written(_run, "run.jsonl")], load_recording,
                (*MUTATORS_OF_TEXT, json_line_changed)),
+        Target("study", MANIFEST_FILE, lambda: [_study(MANIFEST_FILE)], _read_study, JSON,
+               beside=lambda: {PART_FILE: _study(PART_FILE)}),
+        Target("rows of a study", PART_FILE, lambda: [_study(PART_FILE)], _read_study,
+               (*MUTATORS_OF_BYTES, _parquet_changed),
+               beside=lambda: {MANIFEST_FILE: _study(MANIFEST_FILE)}),
         Target("MATLAB", "run.mat", _mats, load_recording, MUTATORS_OF_BYTES, weight=0.02),
         Target("robot npz", "robot.npz",
                lambda: [written(simple_robot().to_npz, "robot.npz")], Robot.from_npz,
