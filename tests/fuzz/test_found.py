@@ -10,9 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError
-from tests.fuzz.targets import place, targets
+from tests.fuzz.targets import checkpoint_with, place, targets
 
-for package in ("onnx", "onnxruntime", "safetensors", "rosbags"):
+for package in ("onnx", "onnxruntime", "safetensors", "torch", "rosbags"):
     pytest.importorskip(package)
 
 
@@ -78,6 +78,7 @@ FOUND = [
     ("log (jsonl)", replaced(b'"time":0.01', b'"time":1' + b"0" * 399)),
     ("log (jsonl)", replaced(b'"metadata":{', b'"metadata":[],"x":{')),
     ("policy", lambda data: b"linear_\xff".join(data.rsplit(b"linear_0", 1))),
+    ("checkpoint", lambda data: checkpoint_with('{"parameters": {}}', data)),
     ("GSI", replaced(b"21.322", b"21X322")),
     ("GSI", replaced(b"21.322", b"3a.322")),
     ("cdpyr", replaced(b"25.0", b"1" * 5000)),
