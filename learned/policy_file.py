@@ -238,10 +238,10 @@ def _model(layers: Layers, activation: str) -> ModelProto:
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as error:
         raise CarosacError(f"writing a policy needs onnx: {INSTALL_COMMAND}") from error
-    nodes = [
-        helper.make_node(operator, inputs, outputs, **({"transB": 1} if operator == "Gemm" else {}))
-        for operator, inputs, outputs in network_nodes(len(layers), activation)
-    ]
+    nodes = [helper.make_node(*node) for node in network_nodes(len(layers), activation)]
+    for node in nodes:
+        if node.op_type == "Gemm":
+            node.attribute.append(helper.make_attribute("transB", 1))
     tensors = [
         numpy_helper.from_array(part, f"{name}_{k}")
         for k, pair in enumerate(layers)
