@@ -179,7 +179,7 @@ def _decoded(node: Any, arrays: Arrays, packages: Collection[str]) -> Any:
         return [_decoded(part, arrays, packages) for part in node]
     if not isinstance(node, dict):
         return node
-    kind = next(iter(node))
+    kind = next(iter(node), "")
     if kind == "dict":
         return {key: _decoded(value, arrays, packages) for key, value in node["dict"]}
     if kind == "tuple":

@@ -16,21 +16,27 @@ from carosac_toolkit.base.errors import MALFORMED, CarosacError, InvalidField, M
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
+from learned.policy_network import (
+    ACTIVATION_NAMES,
+    POLICY_BYTES_MAX,
+    WIDTH_MAX,
+    OtherNetwork,
+    check_network,
+    network_nodes,
+)
 from learned.policy_probe import check_probe, make_probe
 from learned.settings_data import environment_settings
 
 if TYPE_CHECKING:
-    from onnx import ModelProto, NodeProto
+    from onnx import ModelProto
 
 Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 POLICY_SCHEMA = "carosac-policy/1"
 METADATA_PREFIX = "carosac."  # of the names of our metadata
-ACTIVATION_NAMES = ("relu", "silu")
 ONNX_OPSET = 17
 OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overflowing there
 ACTION_MAX = 1.0 + 1e-6  # of tanh in float32
-SIZE_MAX = 100_000  # numbers in an observation or action
 TRIED_ROWS, TRIED_SCALE = 8, 1e3  # observations on which a network is tried, and their multiples
 ONNX_IR_VERSION = 8  # goes with the opset
 INSTALL_COMMAND = "pip install 'carosac-toolkit[learn]'"
@@ -232,23 +238,15 @@ def _model(layers: Layers, activation: str) -> ModelProto:
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as error:
         raise CarosacError(f"writing a policy needs onnx: {INSTALL_COMMAND}") from error
-    nodes: list[NodeProto] = []
-    tensors = []
-    value = "observation"
-    for k, (weight, bias) in enumerate(layers):
-        inputs = [value, f"weight_{k}", f"bias_{k}"]
-        tensors += [
-            numpy_helper.from_array(weight, f"weight_{k}"),
-            numpy_helper.from_array(bias, f"bias_{k}"),
-        ]
-        nodes.append(helper.make_node("Gemm", inputs, [f"linear_{k}"], transB=1))
-        last = k == len(layers) - 1
-        value = "action" if last else f"hidden_{k}"
-        if last or activation == "relu":
-            nodes.append(helper.make_node("Tanh" if last else "Relu", [f"linear_{k}"], [value]))
-        else:  # silu
-            nodes.append(helper.make_node("Sigmoid", [f"linear_{k}"], [f"gate_{k}"]))
-            nodes.append(helper.make_node("Mul", [f"linear_{k}", f"gate_{k}"], [value]))
+    nodes = [helper.make_node(*node) for node in network_nodes(len(layers), activation)]
+    for node in nodes:
+        if node.op_type == "Gemm":
+            node.attribute.append(helper.make_attribute("transB", 1))
+    tensors = [
+        numpy_helper.from_array(part, f"{name}_{k}")
+        for k, pair in enumerate(layers)
+        for name, part in zip(("weight", "bias"), pair, strict=True)
+    ]
     sides = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
         for name, size in (("observation", layers[0][0].shape[1]), ("action", len(layers[-1][1])))
@@ -272,7 +270,12 @@ def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
     texts = {METADATA_PREFIX + name: json.dumps(value) for name, value in record.items()}
     helper.set_model_props(model, {METADATA_PREFIX + "schema": POLICY_SCHEMA} | texts)
     checker.check_model(model, full_check=True)
-    return bytes(model.SerializeToString(deterministic=True))
+    data = bytes(model.SerializeToString(deterministic=True))
+    try:
+        check_network(data)
+    except OtherNetwork as error:
+        raise InvalidField("layers", error, "a network that can be read again") from error
+    return data
 
 
 def _onnx_failures() -> tuple[type[Exception], ...]:
@@ -285,7 +288,7 @@ def _onnx_failures() -> tuple[type[Exception], ...]:
 
 
 def _session(path: str | Path) -> Any:
-    """Open a file in onnxruntime, on one core."""
+    """Open a file in onnxruntime, on one core; it runs parts of a network as it loads it."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -295,8 +298,15 @@ def _session(path: str | Path) -> Any:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what matters is raised
+    with Path(path).open("rb") as file:
+        data = file.read(POLICY_BYTES_MAX + 1)
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        check_network(data)
+    except OtherNetwork as error:
+        allowed = f"{POLICY_FILE_NAME}; this is no ONNX file, or of another network: {error}"
+        raise InvalidField("path", path, allowed) from error
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except failures as error:
         raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
 
@@ -332,7 +342,7 @@ def _robot(path: str | Path, record: Any) -> Robot:
 
 def _is_batch(shape: Sequence[Any]) -> bool:
     """Return whether a shape is (batch, d) with a known d."""
-    return len(shape) == 2 and isinstance(shape[1], int) and 0 < shape[1] <= SIZE_MAX
+    return len(shape) == 2 and isinstance(shape[1], int) and 0 < shape[1] <= WIDTH_MAX
 
 
 def _plain(name: str, value: Any) -> Any:

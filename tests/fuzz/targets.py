@@ -25,8 +25,12 @@ from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.recordings.files import load_recording, save_recording
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
-from learned.learning_curve import CURVE_COLUMNS, read_curve, read_episodes, write_curve
+from carosac_toolkit.studies import read_cases, read_rows
+from carosac_toolkit.studies.run.folder import MANIFEST_FILE, opened
+from carosac_toolkit.studies.run.rows import make_row
+from learned.learning_curve import CURVE_COLUMNS, Episode, read_curve, read_episodes, write_curve
 from learned.policy_file import Policy
+from learned.rewards import RewardSettings
 from learned.training_record import SETTINGS_FILE, read_record
 from sim_warp.snapshot import Snapshot
 from tests.calibration.tachymeter.scenes import ROBOT, drawn
@@ -52,8 +56,10 @@ from tests.interchange.models import (
 )
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
+from tests.studies.functions import some_cases
 
 JSON = (*MUTATORS_OF_TEXT, json_changed)
+PART_FILE = "part-00000000.parquet"
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,30 @@ def _run(path: Path) -> None:
     recorder.close()
 
 
+@functools.cache
+def _study(name: str) -> bytes:
+    """Return a file of a small study, with a column of each kind."""
+    cases = some_cases(3, duration=0.5, weights={"sway": [1]})
+    values = {"real": 0.5, "whole": 3, "text": "x", "flag": True, "big": 2**70, "none": None}
+    rows = [make_row(case, "ok", wall_time=0.0, values=values) for case in cases]
+    rows[1] |= {"status": "failed", "reason": "ValueError", "whole": "three"}
+
+    def write(path: Path) -> None:
+        with opened(path.parent, cases, "a:b") as store:
+            store.append(rows)
+
+    return written(write, name)
+
+
+def _read_study(path: Path) -> None:
+    """Read a study, and open it to go on with the cases that it had."""
+    read_cases(path.parent)
+    read_rows(path.parent)
+    with opened(path.parent, some_cases(3, duration=0.5, weights={"sway": [1]}), "a:b") as store:
+        store.merge()
+        store.forget(["failed"])
+
+
 def _mats() -> list[bytes]:
     from scipy.io import savemat
 
@@ -179,15 +209,41 @@ def _policy_changed(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _checkpoint(path: Path) -> None:
+    import torch
+
     from learned.checkpoint import write_checkpoint
 
-    write_checkpoint(path, {"parameters": {"policy": np.ones((3, 2))}, "steps": 4, "ended": [1]})
+    records = np.zeros(2, dtype=[("a", "f8"), ("b", "i4", (2,))])
+    ended = [Episode(4, -1.5, 3), (1, records, np.float32(0.5)), RewardSettings()]
+    parameters = {"policy": np.ones((3, 2)), 0: torch.ones(2)}
+    write_checkpoint(path, {"parameters": parameters, "steps": 4, "ended": ended})
 
 
 def _read_checkpoint(path: Path) -> object:
     from learned.checkpoint import read_checkpoint
 
     return read_checkpoint(path, ("parameters", "steps", "ended"), {"learned"})
+
+
+def checkpoint_with(tree: str, data: bytes) -> bytes:
+    """Exchange how the arrays of a checkpoint nest; the checksum fits again."""
+    from safetensors.numpy import load, save
+
+    from learned.checkpoint import FORMAT, _checksum
+
+    arrays = load(data)
+    checksum = str(_checksum(tree, arrays))
+    return save(arrays, metadata={"format": FORMAT, "state": tree, "crc32": checksum})
+
+
+def _checkpoint_changed(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change the nesting of a checkpoint that stays one."""
+    size = int.from_bytes(data[:8], "little")
+    try:
+        tree = json.loads(data[8 : 8 + size])["__metadata__"]["state"]
+        return checkpoint_with(json_changed(tree.encode(), rng).decode(errors="replace"), data)
+    except Exception:  # damaged before
+        return data
 
 
 def _snapshot() -> Snapshot:
@@ -248,6 +304,11 @@ def targets() -> tuple[Target, ...]:
                (*MUTATORS_OF_BYTES, _parquet_changed)),
         Target("log (jsonl)", "run.jsonl", lambda: [written(_run, "run.jsonl")], load_recording,
                (*MUTATORS_OF_TEXT, json_line_changed)),
+        Target("study", MANIFEST_FILE, lambda: [_study(MANIFEST_FILE)], _read_study, JSON,
+               beside=lambda: {PART_FILE: _study(PART_FILE)}),
+        Target("rows of a study", PART_FILE, lambda: [_study(PART_FILE)], _read_study,
+               (*MUTATORS_OF_BYTES, _parquet_changed),
+               beside=lambda: {MANIFEST_FILE: _study(MANIFEST_FILE)}),
         Target("MATLAB", "run.mat", _mats, load_recording, MUTATORS_OF_BYTES, weight=0.02),
         Target("robot npz", "robot.npz",
                lambda: [written(simple_robot().to_npz, "robot.npz")], Robot.from_npz,
@@ -264,7 +325,7 @@ def targets() -> tuple[Target, ...]:
                (*MUTATORS_OF_BYTES, _policy_changed), weight=0.3),
         Target("checkpoint", "checkpoint.safetensors",
                lambda: [written(_checkpoint, "checkpoint.safetensors")], _read_checkpoint,
-               MUTATORS_OF_BYTES),
+               (*MUTATORS_OF_BYTES, _checkpoint_changed, _checkpoint_changed)),
         Target("training settings", SETTINGS_FILE, _settings,
                lambda path: read_record(path.parent), JSON),
         Target("learning curve", "curve.csv", lambda: [written(_curve, "curve.csv")], read_curve),

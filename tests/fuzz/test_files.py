@@ -10,7 +10,7 @@ from carosac_toolkit.base.errors import CarosacError
 from tests.fuzz.mutators import mutated
 from tests.fuzz.targets import place, targets
 
-for package in ("onnx", "onnxruntime", "safetensors", "rosbags"):
+for package in ("onnx", "onnxruntime", "safetensors", "torch", "rosbags"):
     pytest.importorskip(package)
 
 COUNT = 60  # of each kind; `python -m benchmarks.fuzz` takes thousands

@@ -1,15 +1,18 @@
 """What damaged inputs have broken before, each as a case of its own."""
 
 import io
+import json
 import zipfile
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError
-from tests.fuzz.targets import place, targets
+from tests.fuzz.targets import checkpoint_with, place, targets
 
-for package in ("onnx", "onnxruntime", "safetensors", "rosbags"):
+for package in ("onnx", "onnxruntime", "safetensors", "torch", "rosbags"):
     pytest.importorskip(package)
 
 
@@ -46,6 +49,28 @@ def as_npy(value):
     return stream.getvalue()
 
 
+def with_cases(cases):
+    """Exchange the cases of a study."""
+    return lambda data: json.dumps(json.loads(data) | {"cases": cases}).encode()
+
+
+def with_column(name, *values, as_json=False):
+    """Exchange or add a column of the rows of a study."""
+
+    def change(data):
+        table = pq.read_table(pa.BufferReader(data))
+        array = pa.array([*values] * table.num_rows)
+        field = pa.field(name, array.type, metadata={"carosac": "json"} if as_json else None)
+        if name in table.column_names:
+            table = table.drop_columns(name)
+        sink = pa.BufferOutputStream()
+        pq.write_table(table.append_column(field, array), sink)
+        return bytes(sink.getvalue())
+
+    return change
+
+
+AXES = ["carosac", "c", "e", "s", "t", "p"]
 FOUND = [
     ("robot YAML", lambda data: b"a: " + b"[" * 50_000),
     ("Parquet", lambda data: data.replace(b"time_s", b"time_\xff")),
@@ -53,6 +78,7 @@ FOUND = [
     ("log (jsonl)", replaced(b'"time":0.01', b'"time":1' + b"0" * 399)),
     ("log (jsonl)", replaced(b'"metadata":{', b'"metadata":[],"x":{')),
     ("policy", lambda data: b"linear_\xff".join(data.rsplit(b"linear_0", 1))),
+    ("checkpoint", lambda data: checkpoint_with('{"parameters": {}}', data)),
     ("GSI", replaced(b"21.322", b"21X322")),
     ("GSI", replaced(b"21.322", b"3a.322")),
     ("cdpyr", replaced(b"25.0", b"1" * 5000)),
@@ -66,6 +92,22 @@ FOUND = [
     ("snapshot npz", with_member("position.npy", lambda x: x.replace(b"(2, 3), }", b"(2, 3,   "))),
     ("robot npz", with_member("__fields__.npy", lambda _: as_npy("[1]"))),
     ("robot npz", with_member("__fields__.npy", lambda _: as_npy('{"hardware": [1]}'))),
+    ("study", lambda data: b"[" * 100_000),
+    ("study", lambda data: b'{"schema": ' + b"[" * 900 + b"]" * 900 + b"}"),
+    *(("study", with_cases([entry])) for entry in (1, "x", [], ["a"], {}, [[1]] * 9)),
+    ("study", with_cases([["id", *AXES, 0, 9]])),
+    ("study", with_cases([["id", *AXES, -1, 0]])),
+    ("study", with_cases([["id", "", *AXES[1:], 0, 0]])),
+    ("study", replaced(b'"duration": 0.5', b'"duration": NaN')),
+    ("study", replaced(b"a:b", b"a:\xff")),
+    ("rows of a study", lambda data: data.replace(b"text", b"te\xfft")),
+    ("rows of a study", with_column("case", ["x"])),
+    ("rows of a study", with_column("status", {"a": 1})),
+    ("rows of a study", with_column("more", [1.0])),
+    ("rows of a study", with_column("more", "{", as_json=True)),
+    ("rows of a study", with_column("more", "[1]", as_json=True)),
+    ("rows of a study", with_column("more", "[" * 100_000, as_json=True)),
+    ("rows of a study", with_column("more", "1" * 400, as_json=True)),
     ("bag MCAP", lambda data: data[:9] + b"\xff" * 7 + data[16:]),
 ]
 

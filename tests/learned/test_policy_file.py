@@ -229,6 +229,109 @@ def test_a_network_that_does_not_act_is_refused(file, value, layer):
         Policy.load(file)
 
 
+def with_loop(graph):
+    """A loop of so many turns that it does not end."""
+    helper, tensor = onnx.helper, onnx.TensorProto
+    turn = [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Tanh", ["x"], ["y"])]
+    value = helper.make_tensor_value_info
+    body = helper.make_graph(
+        turn, "body", [value("i", tensor.INT64, []), value("go", tensor.BOOL, []),
+                       value("x", tensor.FLOAT, None)],
+        [value("on", tensor.BOOL, []), value("y", tensor.FLOAT, None)],
+    )  # fmt: skip
+    turns = helper.make_tensor("turns", tensor.INT64, [], [10**9])
+    graph.initializer.append(turns)
+    graph.node[-1].output[0] = "once"
+    graph.node.append(helper.make_node("Loop", ["turns", "", "once"], ["action"], body=body))
+
+
+def with_constant(graph):
+    """A constant of gigabytes, which is made as the file is loaded."""
+    size = onnx.numpy_helper.from_array(np.array([700_000_000]), "size")
+    graph.initializer.append(size)
+    graph.node.insert(0, onnx.helper.make_node("ConstantOfShape", ["size"], ["large"]))
+
+
+def with_product(graph):
+    """A product of two small constants that takes gigabytes."""
+    for name, shape in (("row", (1, 30_000)), ("column", (30_000, 1))):
+        graph.initializer.append(onnx.numpy_helper.from_array(np.ones(shape, np.float32), name))
+    graph.node.insert(0, onnx.helper.make_node("Mul", ["row", "column"], ["large"]))
+
+
+def with_data_outside(graph):
+    """A weight that lies in any file of the machine."""
+    tensor = graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = onnx.TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="policy.data")
+
+
+def with_many_zeros(graph):
+    """A weight that says it is larger than its numbers."""
+    graph.initializer[0].dims[0] = 2**31
+
+
+def with_other_attribute(graph):
+    graph.node[0].attribute.append(onnx.helper.make_attribute("transA", 1))
+
+
+def with_other_domain(graph):
+    graph.node[0].domain = "com.microsoft"
+
+
+def with_other_width(graph):
+    weight = onnx.numpy_helper.from_array(np.ones((24, 1), np.float32), "weight_1")
+    graph.initializer[2].CopyFrom(weight)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (with_loop, "operator 'Loop'"),
+        (with_constant, "operator 'ConstantOfShape'"),
+        (with_product, "nodes in another order"),
+        (with_data_outside, "a field 1[34],"),
+        (with_many_zeros, "not as large as its numbers"),
+        (with_other_attribute, "attributes of a node Gemm"),
+        (with_other_domain, "a field 7"),
+        (with_other_width, "layer 1 does not fit"),
+    ],
+)
+def test_any_other_network_is_refused_before_it_is_loaded(file, change, message, monkeypatch):
+    import onnxruntime
+
+    model = onnx.load(file)
+    change(model.graph)
+    file.write_bytes(model.SerializeToString())
+    monkeypatch.setattr(onnxruntime, "InferenceSession", None)
+    with pytest.raises(InvalidField, match=f"no ONNX file, or of another network: .*{message}"):
+        Policy.load(file)
+
+
+def test_a_file_that_is_too_large_is_refused(file):
+    with file.open("ab") as out:
+        out.truncate(2**34)  # takes no room on the disk
+    with pytest.raises(InvalidField, match="more than 17 MB"):
+        Policy.load(file)
+
+
+def test_a_second_graph_which_readers_would_merge_is_refused(file):
+    data = file.read_bytes()
+    graph = onnx.load(file).graph
+    graph.node[0].op_type = "Loop"
+    file.write_bytes(data + onnx.ModelProto(graph=graph).SerializeToString())
+    with pytest.raises(InvalidField, match="of another network"):
+        Policy.load(file)
+
+
+def test_layers_that_could_not_be_read_again_are_not_written(tmp_path):
+    layers = [(np.ones((1, 1)), np.ones(1))] * 101
+    with pytest.raises(InvalidField, match=r"layers: got 202 weights and biases; .*read again"):
+        write_policy(tmp_path / "policy.onnx", layers, "relu", described())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_action_that_is_none_at_run_time_is_named(file):
     policy = Policy.load(file)
     session = policy._session
@@ -245,9 +348,9 @@ def test_an_action_that_is_none_at_run_time_is_named(file):
 
 def test_a_file_with_another_input_is_refused(file):
     model = onnx.load(file)
-    model.graph.node[0].input[0] = model.graph.input[0].name = "state"
+    model.graph.input[0].type.tensor_type.shape.dim[1].dim_param = "d"
     file.write_bytes(model.SerializeToString())
-    with pytest.raises(InvalidField, match=r"state.*observation \(batch, d\)"):
+    with pytest.raises(InvalidField, match=r"'d'.*observation \(batch, d\)"):
         Policy.load(file)
 
 

@@ -143,6 +143,31 @@ def test_another_user_of_this_machine_is_not_heard(listener):
     assert listener.received == 1
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs a second user")
+def test_another_user_cannot_silence_the_sensor(listener):
+    """Not by a socket at the same port for IPv6 alone, which sends nothing to IPv4."""
+    code = (
+        "import os, socket, sys; os.setuid(65534); "
+        "other = socket.socket(socket.AF_INET6, socket.SOCK_DGRAM); "
+        "other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1); "
+        "other.bind(('::', int(sys.argv[1]))); print('bound', flush=True); sys.stdin.read()"
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        sensor.bind(("", 0))
+        other = subprocess.Popen(
+            [sys.executable, "-S", "-c", code, str(sensor.getsockname()[1])],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        try:
+            assert other.stdout.readline() == b"bound\n"
+            line = imu_line(1, 1.0, [0, 0, 0], [0, 0, 9.81])
+            sensor.sendto(line.encode(), listener._socket.getsockname())
+            wait_for(listener, 1)
+        finally:
+            other.communicate()
+    assert (listener.received, listener.foreign) == (1, 0)
+
+
 def test_a_taken_port_is_one_message_and_closing_ends_the_thread(listener):
     port = listener._socket.getsockname()[1]
     with pytest.raises(CarosacError, match=f"imu: cannot listen on 127.0.0.1:{port}"):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -55,7 +57,8 @@ def local_client(workers: int) -> Iterator[Any]:
     """Start worker processes with one thread each; they end with the block or with this process.
 
     They listen on random ports of the loopback interface alone, over TLS with a certificate that is
-    made here and never written to disk, so that other users of this machine are refused.
+    made here, so that other users of this machine are refused. dask writes it and its key into
+    folders that only this user can read, each for as long as the library for TLS reads it.
 
     Args:
         workers: Number of workers.
@@ -63,7 +66,12 @@ def local_client(workers: int) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster, Security
 
-    with _environment(SINGLE_THREAD_ENVIRONMENT), _hidden_main(), dask.config.set(_DASK_CONFIG):
+    with (
+        _environment(SINGLE_THREAD_ENVIRONMENT),
+        _hidden_main(),
+        _private_folder() as folder,
+        dask.config.set(_DASK_CONFIG | {"temporary-directory": folder}),
+    ):
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -120,6 +128,20 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _private_folder() -> Iterator[str]:
+    """Give a folder of this user alone, which goes with the block, for the scratch of dask.
+
+    dask puts the scratch folders of workers and nannies first on the path of imports. By default
+    they are in one folder of a fixed name that anybody may have made, and filled, before.
+    """
+    with tempfile.TemporaryDirectory(prefix="carosac-") as folder:
+        try:
+            yield folder
+        finally:  # what is left would be another user's, once the folder is gone
+            sys.path[:] = [x for x in sys.path if Path(folder) not in Path(x).parents]
 
 
 @contextmanager

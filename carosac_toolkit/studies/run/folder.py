@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.files import refusing, replacing
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
 from carosac_toolkit.studies.run.row_files import (
@@ -26,6 +26,8 @@ from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row, in_common_colum
 MANIFEST_FILE = "study.json"
 STUDY_SCHEMA = "carosac-study/1"
 SMALL_PARTS_MAX = 100  # small parts
+_AXES = (*CASE_COLUMNS, "seed")
+_ENTRY_KINDS = [str, *(str for _ in CASE_COLUMNS), int, int]  # identity, axes, seed, settings
 
 
 class StudyConflict(CarosacError):
@@ -111,10 +113,11 @@ def read_cases(folder: str | Path) -> list[Case]:
         fault = f"toolkit: got {manifest['toolkit']}; allowed: {__version__}, the one installed"
         raise InvalidFile(Path(folder) / MANIFEST_FILE, [fault])
     settings = manifest["settings"]
-    return [
-        Case(**dict(zip((*CASE_COLUMNS, "seed"), values, strict=True)), settings=settings[index])
-        for _, *values, index in manifest["cases"]
-    ]
+    with _refusing(Path(folder) / MANIFEST_FILE):
+        return [
+            Case(**dict(zip(_AXES, values, strict=True)), settings=settings[index])
+            for _, *values, index in manifest["cases"]
+        ]
 
 
 def read_rows(folder: str | Path) -> list[Row]:
@@ -182,8 +185,9 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
                 raise _conflict(path, f"{key} {held[key]}", f"{key} {asked[key]}")
         missing = [x for x in held["cases"] if x[0] not in {y[0] for y in asked["cases"]}]
         if missing:
-            there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
-            differing = _differing(_settings(held, missing), _settings(asked, asked["cases"]))
+            with _refusing(file):
+                there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
+                differing = _differing(_settings(held, missing), _settings(asked, asked["cases"]))
             raise _conflict(path, there, _axes(asked, asked["cases"]) + differing)
         if held["cases"] == asked["cases"]:
             return
@@ -199,7 +203,7 @@ def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
         "schema": STUDY_SCHEMA,
         "toolkit": __version__,
         "function": function,
-        "fields": ["case", *CASE_COLUMNS, "seed", "settings"],
+        "fields": ["case", *_AXES, "settings"],
         "settings": [json.loads(text) for text in index],
         "cases": [
             [case.identity, *(getattr(case, name) for name in CASE_COLUMNS), case.seed, index[text]]
@@ -213,9 +217,26 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST_FILE
     kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
     try:
-        return json_record(file, STUDY_SCHEMA, kinds)
+        manifest = json_record(file, STUDY_SCHEMA, kinds)
     except FileNotFoundError as error:
         raise MissingFile(file, "this is no folder of a study") from error
+    with _refusing(file):
+        for entry in manifest["cases"]:
+            if [type(value) for value in entry] != _ENTRY_KINDS:
+                raise ValueError("a case is no list of texts, seed and number of its settings")
+            if type(manifest["settings"][entry[-1]]) is not dict:
+                raise ValueError("the settings of a case are no object")
+    return manifest
+
+
+@contextmanager
+def _refusing(file: Path) -> Iterator[None]:
+    """Name a manifest in whatever is wrong with its cases."""
+    try:
+        with refusing(file, "the cases of a study"):
+            yield
+    except InvalidField as error:
+        raise InvalidFile(file, [str(error)]) from error
 
 
 def _utf8(file: Path) -> str:
@@ -238,19 +259,24 @@ def json_record(
     """
     try:
         record = json.loads(read(file))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidFile(file, [f"this is no JSON: {error}"]) from error
     held = record.get("schema") if isinstance(record, dict) else None
     if held != schema:
-        raise InvalidFile(file, [f"schema: got {held!r}; allowed: {schema!r}"])
+        raise InvalidFile(file, [f"schema: got {_shown(held)}; allowed: {schema!r}"])
     faults = [
-        f"{name}: got {record.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
+        f"{name}: got {_shown(record.get(name))}; allowed: a {'text' if kind is str else 'list'}"
         for name, kind in kinds.items()
         if not isinstance(record.get(name), kind)
     ]
     if faults:
         raise InvalidFile(file, faults)
     return dict(record)
+
+
+def _shown(value: Any) -> str:
+    """Return a value of JSON for a message."""
+    return type(value).__name__ if isinstance(value, list | dict) else repr(value)[:80]
 
 
 def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
@@ -264,7 +290,7 @@ def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
 def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
     """Summarise the axes of some cases of a study."""
     text = []
-    for i, name in enumerate((*CASE_COLUMNS, "seed"), start=1):
+    for i, name in enumerate(_AXES, start=1):
         values = list(dict.fromkeys(str(entry[i]) for entry in entries))
         more = f" and {len(values) - 3} more" if len(values) > 3 else ""
         text.append(f"{name} {', '.join(values[:3])}{more}")

@@ -8,14 +8,15 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidFile
 from carosac_toolkit.base.file_limits import open_parquet
 from carosac_toolkit.base.files import replacing
-from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
+from carosac_toolkit.studies.run.rows import Row, Value, column_kinds, in_common_columns
 
 PART_FILE_PATTERN = "part-*.parquet"
 LARGE_PART_ROWS_MIN = 10_000  # rows of a part that is not merged any more
 READ_ATTEMPTS = 5
+_COLUMN_TYPES = ("bool", "int64", "double", "string", "null")  # of Arrow
 _JSON_METADATA = {
     b"carosac": b"json"
 }  # marks a column of JSON texts: its values are of several types
@@ -53,22 +54,41 @@ def read_part(path: Path) -> list[Row]:
     import pyarrow as pa
 
     try:
-        table = open_parquet(path).read()
+        return _rows(path)
     except FileNotFoundError:
         raise
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, *MALFORMED) as error:
         detail = (str(error).splitlines() or [type(error).__name__])[0]
         fault = f"this is no whole Parquet file: {detail}; delete it and run the study again: only"
         raise InvalidFile(path, [f"{fault} the cases in it run again"]) from error
-    if not {"case", "status"} <= set(table.schema.names):
+
+
+def _rows(path: Path) -> list[Row]:
+    """Read the rows of one part; a damaged one raises any of many errors."""
+    table = open_parquet(path).read()
+    kinds = {item.name: str(item.type) for item in table.schema}
+    if not {"case", "status"} <= set(kinds):
         raise InvalidFile(path, ["this is no part of a study: it lacks the column case or status"])
+    for name, kind in kinds.items():
+        if kind not in (("string",) if name in ("case", "status") else _COLUMN_TYPES):
+            raise TypeError(f"column {name!r} has type {kind}")
     rows: list[Row] = table.to_pylist()
     for item in table.schema:
         if item.metadata and dict(item.metadata).get(b"carosac") == b"json":
             for row in rows:
                 text = row[item.name]
-                row[item.name] = None if text is None else json.loads(str(text))
+                row[item.name] = None if text is None else _scalar(str(text))
     return rows
+
+
+def _scalar(text: str) -> Value:
+    """Return a value of a column of several types."""
+    value: Value = json.loads(text)
+    if isinstance(value, list | dict):
+        raise TypeError(f"got {text[:80]!r}; allowed: a number, text, true, false or null")
+    if isinstance(value, int):
+        float(value)  # which a column with others may need
+    return value
 
 
 def read_parts(folder: Path) -> dict[str, Row]:

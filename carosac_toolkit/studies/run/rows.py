@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
@@ -101,7 +102,7 @@ def _checked_value(name: Any, value: Any) -> Value:
         value = value.item()
     if value is None or isinstance(value, (bool, str)):
         return value
-    if isinstance(value, int):
+    if isinstance(value, int) and abs(value) <= sys.float_info.max:
         return int(value)
     if isinstance(value, float) and math.isfinite(value):
         return float(value)

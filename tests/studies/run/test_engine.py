@@ -3,7 +3,9 @@ from __future__ import annotations
 import os
 import socket
 import ssl
+import stat
 import sys
+import tempfile
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
@@ -149,6 +151,33 @@ def test_workers_are_alone_single_threaded_and_local(monkeypatch):
     assert os.environ.items() - environment.items() <= {
         (name, os.environ.get(name)) for name in ("PYTHONHASHSEED", "__DASK_PARENT_PID")
     }  # dask's own marks for its children
+
+
+@as_root
+def test_no_module_of_another_user_is_imported(monkeypatch):
+    """Neither by workers, begun anew or not, nor by this process, then or later."""
+    with tempfile.TemporaryDirectory() as shared:
+        Path(shared).chmod(0o1777)
+        monkeypatch.setattr(tempfile, "tempdir", shared)
+        monkeypatch.setenv("TMPDIR", shared)
+        trap = Path(shared, "dask-scratch-space")
+
+        def prepare():
+            trap.mkdir(mode=0o777)
+            (trap / "wave.py").write_text("raise AssertionError('code of another user')")
+
+        assert as_another_user(prepare) is None
+        before = list(sys.path)
+        with local_client(1) as client:
+            (folder,) = set(Path(shared).iterdir()) - {trap}
+            assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+            for _ in range(2):
+                (path,) = client.run(lambda: __import__("wave") and __import__("sys").path).values()
+                for entry in {*path, *sys.path} - set(before):
+                    assert Path(entry).is_relative_to(folder / "dask-scratch-space")
+                client.restart()
+        assert sys.path == before
+        assert list(Path(shared).iterdir()) == [trap]
 
 
 @as_root
