@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidFile
-from carosac_toolkit.base.file_limits import open_parquet
+from carosac_toolkit.base.file_limits import read_rows
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
 
@@ -53,7 +53,7 @@ def read_part(path: Path) -> list[Row]:
     import pyarrow as pa
 
     try:
-        table = open_parquet(path).read()
+        table = read_rows(path)
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError) as error:
