@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.base.arrays import evenly
+from carosac_toolkit.base.arrays import evenly, frozen_array
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 10, 11, 19, 400])
