@@ -34,7 +34,8 @@ from carosac_toolkit.base.errors import CarosacError
 from tests.fuzz.mutators import EXTREMES, mutated
 
 FILES, MESSAGES, COMMANDS = 100_000, 20_000, 5_000
-MEMORY_MAX_BYTES = 2**30  # beyond what the process has when it begins
+MEMORY_MAX_BYTES = 2**30  # at the peak of a case, beyond what the process has when it begins
+MEMORY_LIMIT_BYTES = 2**32  # at which the system refuses more; readers must not get there
 DURATION_MAX_S = 5.0  # of one case
 START_TIMEOUT_S, READY = 300.0, "ready"
 HANG_S = 30.0  # after which a process that does not answer is killed
@@ -114,7 +115,7 @@ def _work(name: str, first: int, total: int, pipe: Connection) -> None:
     """Run the cases of a kind from one on, and tell the outcome of each."""
     take, source = _taker(name)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * resource.getpagesize() + MEMORY_MAX_BYTES
+    limit = pages * resource.getpagesize() + MEMORY_LIMIT_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGALRM, _stop)
@@ -126,7 +127,30 @@ def _work(name: str, first: int, total: int, pipe: Connection) -> None:
 
 
 def _outcome(take: Callable[[Any], object], made: Any) -> tuple[str, str]:
-    """Return the outcome of a case, and the last lines of a traceback."""
+    """Return the outcome of a case, and the last lines of a traceback.
+
+    Readers may turn a `MemoryError` into a refusal, so memory is measured, that of children too.
+    """
+    before, _ = _memory(peak=False)
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is that of now
+    outcome = _ending(take, made)
+    peak, of_child = _memory(peak=True)
+    taken = max(peak - before, of_child)
+    if taken > MEMORY_MAX_BYTES and outcome[0] in ("read", "refused"):
+        return "memory", f"{outcome[0]}, {taken / 2**20:.0f} MiB"
+    return outcome
+
+
+def _memory(*, peak: bool) -> tuple[int, int]:
+    """Return the memory of this process, now or at its peak, and of its largest child [bytes]."""
+    name = "VmHWM:" if peak else "VmRSS:"
+    lines = Path("/proc/self/status").read_text().splitlines()
+    own = next(int(line.split()[1]) for line in lines if line.startswith(name))
+    return 1024 * own, 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+
+
+def _ending(take: Callable[[Any], object], made: Any) -> tuple[str, str]:
+    """Return how a case ends, and the last lines of a traceback."""
     signal.setitimer(signal.ITIMER_REAL, DURATION_MAX_S)
     try:
         take(made)

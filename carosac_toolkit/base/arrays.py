@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,12 +30,12 @@ def frozen_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
         shape: The shape it must have.
 
     Returns:
-        A new array with ``writeable`` off.
+        A new array with ``writeable`` off, or the value itself if it is one already.
 
     Raises:
         InvalidField: A wrong shape, or an entry that is not finite (named by its index).
     """
-    array = as_floats(name, value)
+    array = value if _is_frozen(value) else as_floats(name, value)
     if array.shape != shape:
         raise InvalidField(name, f"shape {array.shape}", f"shape {shape}")
     _check_finite(name, array)
@@ -55,6 +55,16 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
         raise InvalidField(name, f"shape {array.shape}", f"shape {allowed}, B >= 1")
     _check_finite(name, array)
     return np.ascontiguousarray(array)
+
+
+def _is_frozen(value: ArrayLike) -> TypeGuard[Array]:
+    """Return whether nobody can write to this array: a long recording is not copied again."""
+    return (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and bool(value.flags.owndata and value.flags.c_contiguous)
+        and not value.flags.writeable
+    )
 
 
 def _check_finite(name: str, array: Array) -> None:

@@ -18,6 +18,7 @@ from carosac_toolkit.base.errors import (
     MissingFile,
     did_you_mean,
 )
+from carosac_toolkit.interchange.bag_chunks import bound_decompression
 
 _BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 _BAG_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
@@ -106,6 +107,7 @@ def open_bag(paths: Sequence[Path], *, definitions: Path | None = None) -> Itera
         CarosacError: The package `rosbags` is not installed.
     """
     _check(paths)
+    bound_decompression()
     from rosbags.highlevel import AnyReader
 
     with _our_errors(paths):

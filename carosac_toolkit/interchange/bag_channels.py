@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.file_limits import check_recording
 from carosac_toolkit.interchange.bag import Bag
 
 Nanoseconds = NDArray[np.int64]
@@ -79,8 +81,7 @@ def numbers(
     kind = bag.topic(topic, option).kind
     own = {"--tension": _TENSION_FIELDS, "--rates": _RATE_FIELDS}.get(option, {})
     path = field or own.get(kind) or _LENGTH_FIELDS.get(kind)
-    times: list[int | None] = []
-    received, rows = list[int](), list[Array]()
+    samples, width = _Samples(bag.name), 0
     labels: tuple[str, ...] = ()
     for time, message in bag.messages(topic):
         if path is None:
@@ -89,13 +90,12 @@ def numbers(
             )
         row = _row(_at(message, path, spec, option), spec, option)
         chosen, labels = _named(message, row, names, labels, spec, option)
-        if rows and len(chosen) != len(rows[0]):
-            got = f"{len(chosen)} numbers in message {len(rows)} of {spec!r}, {len(rows[0])} before"
+        if len(samples) and len(chosen) != width:
+            got = f"{len(chosen)} numbers in message {len(samples)} of {spec!r}, {width} before"
             raise InvalidField(option, got, "as many in each message")
-        rows.append(chosen)
-        received.append(time)
-        times.append(_stamp(message))
-    return _ordered(f"{topic}.{path}", times, received, np.array(rows), stamps, labels)
+        width = len(chosen)
+        samples.add(time, _stamp(message), chosen)
+    return samples.ordered(f"{topic}.{path}", stamps, labels)
 
 
 def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> TopicSamples:
@@ -114,7 +114,7 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> To
     kind = bag.topic(topic, "--pose").kind
     if frames and kind not in TF_TYPES:
         raise InvalidField("--frames", " ".join(frames), f"nothing, as {topic} holds no transforms")
-    times, received, rows = [], [], []
+    samples = _Samples(bag.name)
     seen: set[tuple[str, str]] = set()
     for time, message in bag.messages(topic):
         parts = message.transforms if kind in TF_TYPES else [message]
@@ -134,14 +134,12 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> To
             if path is None:
                 allowed = f"{topic}.FIELD with the pose, or a topic of {', '.join(POSE_TYPES)}"
                 raise InvalidField("--pose", repr(spec), allowed)
-            rows.append(_pose(_at(part, path, spec, "--pose"), spec))
-            received.append(time)
-            times.append(_stamp(part))
-    if not rows:
+            samples.add(time, _stamp(part), _pose(_at(part, path, spec, "--pose"), spec))
+    if not len(samples):
         pairs = ", ".join(" ".join(pair) for pair in sorted(seen))
         got = " ".join(frames) or "nothing"
         raise InvalidField("--frames", got, f"parent and child, one of: {pairs}")
-    return _ordered(topic, times, received, np.array(rows), stamps)
+    return samples.ordered(topic, stamps)
 
 
 def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
@@ -153,13 +151,12 @@ def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
     kind = bag.topic(topic, "--imu").kind
     if kind != IMU_TYPE or field:
         raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU_TYPE}")
-    times, received, rows = [], [], []
+    samples = _Samples(bag.name)
     for time, message in bag.messages(topic):
         rate, force = message.angular_velocity, message.linear_acceleration
-        rows.append([rate.x, rate.y, rate.z, force.x, force.y, force.z])
-        received.append(time)
-        times.append(_stamp(message))
-    return _ordered(topic, times, received, np.array(rows, dtype=np.float64), stamps)
+        row = [rate.x, rate.y, rate.z, force.x, force.y, force.z]
+        samples.add(time, _stamp(message), row)
+    return samples.ordered(topic, stamps)
 
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:
@@ -250,21 +247,35 @@ def _stamp(message: Any) -> int | None:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def _ordered(
-    topic: str,
-    times: Sequence[int | None],
-    received: Sequence[int],
-    rows: Array,
-    stamps: str,
-    labels: tuple[str, ...] = (),
-) -> TopicSamples:
-    """Return samples in the order of one clock, each stamp once."""
-    known = [time for time in times if time is not None]
-    complete = len(known) == len(times)
-    clock = "header" if stamps == "header" and complete else "receive"
-    time = np.array(known if clock == "header" else received, dtype=np.int64)
-    behind = None
-    if complete and known:
-        behind = 1e-9 * float(np.median(np.array(received) - np.array(known, dtype=np.int64)))
-    time, first = np.unique(time, return_index=True)
-    return TopicSamples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)
+class _Samples:
+    """Rows of numbers with their stamps, as compact as they will be."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._numbers = array("d")
+        self._received = array("q")
+        self._stamps = array("q")  # of the messages that have one
+
+    def __len__(self) -> int:
+        return len(self._received)
+
+    def add(self, received: int, stamp: int | None, row: Sequence[float] | Array) -> None:
+        """Add a message; refuse more numbers than a recording may have."""
+        check_recording(self._name, len(self), len(row), len(self._numbers) + len(row))
+        self._numbers.extend(row)
+        self._received.append(received)
+        if stamp is not None:
+            self._stamps.append(stamp)
+
+    def ordered(self, topic: str, stamps: str, labels: tuple[str, ...] = ()) -> TopicSamples:
+        """Return samples in the order of one clock, each stamp once."""
+        received, known = np.array(self._received), np.array(self._stamps)
+        complete = len(known) == len(received)
+        clock = "header" if stamps == "header" and complete else "receive"
+        behind = None
+        if complete and len(known):
+            behind = 1e-9 * float(np.median(received - known))
+        time, first = np.unique(known if clock == "header" else received, return_index=True)
+        rows = np.frombuffer(self._numbers).reshape(len(received), -1)
+        repeated = len(received) - len(time)
+        return TopicSamples(topic, time, rows[first], clock, behind, repeated, labels)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 _ORTHOGONALITY_TOLERANCE = 1e-4  # of R^T R
-_FILE_BYTES_MAX = 20_000_000  # [bytes]; robots take kilobytes
+_FILE_BYTES_MAX = 2_000_000  # [bytes]; robots take kilobytes
 
 
 class SourceFile:

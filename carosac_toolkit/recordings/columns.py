@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -39,6 +40,7 @@ _NUMBERED_COLUMN = re.compile(
     r"_(\d{1,3})_(m|m_per_s|N|x_m|y_m|z_m)"
 )
 _COLUMN_ALIASES = {"cable_length": "unstrained_length"}
+_HINTS_MAX = 20  # names for which a similar one is searched
 _NAME_LENGTH_SHOWN = 60  # characters of a name that messages show
 POSE_COLUMNS_TEXT = (
     "a recording with measured poses: columns position_x_m, _y_m, _z_m and quaternion_w, _x, _y, _z"
@@ -102,17 +104,18 @@ def name_faults(written: Iterable[str]) -> list[str]:
     written = list(written)
     names = [canonical(name) for name in written]
     n = max(cables(names), 1)
-    known = known_columns(n)
+    known = dict.fromkeys(known_columns(n))
     candidates = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
-    faults = []
-    for name in dict.fromkeys(names):
+    faults: list[str] = []
+    unknown = [name for name in names if name not in known]
+    for name, count in Counter(names).items():
         if name not in known:
-            close = get_close_matches(name[:_NAME_LENGTH_SHOWN], candidates, n=1, cutoff=0.7)
+            searched = candidates if len(faults) < _HINTS_MAX else ()
+            close = get_close_matches(name[:_NAME_LENGTH_SHOWN], searched, n=1, cutoff=0.7)
             hint = _hint(close) or " and refused, as every extra column is: remove or rename it"
             faults.append(f"column {_shown(name)} is unknown{hint}")
-        elif names.count(name) > 1:
-            faults.append(f"column {name!r} appears {names.count(name)} times")
-    unknown = [name for name in names if name not in known]
+        elif count > 1:
+            faults.append(f"column {name!r} appears {count} times")
     missing = _missing(names, n)
     turned = [name for name in FIXED_COLUMNS["poses"][3:] if name in missing]
     if len(turned) == 4 and not set(unknown) & set(_near(turned, unknown)):
@@ -121,19 +124,21 @@ def name_faults(written: Iterable[str]) -> list[str]:
             f"columns {turned[0]!r} to {turned[3]!r} are missing: a pose needs its orientation, "
             "because the cable lengths depend on it; positions alone are not read"
         )
-    for name in missing:
-        close = get_close_matches(name, unknown, n=1, cutoff=0.5)
+    for number, name in enumerate(missing):
+        others = unknown[:_HINTS_MAX] if number < _HINTS_MAX else []
+        close = get_close_matches(name, others, n=1, cutoff=0.5)
         faults.append(f"column {spelled(name, written)!r} is missing" + _hint(close))
     return faults
 
 
 def _missing(names: list[str], n: int) -> list[str]:
     """Name the columns that n cables and the channels that are begun need, and are not there."""
+    there = set(names)
     groups = [(TIME_COLUMN,), channel_columns("unstrained_length", n)]
     optional = (*(c for c in CABLE_COLUMNS if c != "unstrained_length"), *FIXED_COLUMNS)
     candidates = (*(channel_columns(channel, n) for channel in optional), exit_point_columns(n))
-    groups += [group for group in candidates if set(group) & set(names)]
-    return [name for group in groups for name in group if name not in names]
+    groups += [group for group in candidates if set(group) & there]
+    return [name for group in groups for name in group if name not in there]
 
 
 def _near(names: list[str], unknown: list[str]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,40 +10,73 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.file_limits import check_recording
 from carosac_toolkit.loop.values import Imu, Stamped
+from carosac_toolkit.recordings.cells import Cells
 from carosac_toolkit.recordings.columns import (
     CABLE_COLUMNS,
     CHANNEL_UNITS,
     FIXED_COLUMNS,
     TIME_COLUMN,
     cables,
-    canonical,
     channel_columns,
-    exit_point_columns,
     name_faults,
 )
 from carosac_toolkit.recordings.metadata import RecordingMetadata
-from carosac_toolkit.recordings.poses import UNIT_NORM_TOLERANCE, PoseSamples
-from carosac_toolkit.recordings.recording import STAMPED_CHANNELS, Recording
-from carosac_toolkit.recordings.table import Table, shortened
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.recordings.table import Faults, Mask, Table
 
+BLOCK_ROWS = 2**16  # that are written at once
 RECORDING_SCHEMA = "carosac-recording/1"
 
 
-def to_table(recording: Recording) -> Table:
-    """Lay all channels out on the union of their time stamps."""
-    time = np.unique(np.concatenate(list(recording.channel_times.values())))
-    columns = {TIME_COLUMN: time}
-    empty = {TIME_COLUMN: np.zeros(len(time), dtype=np.bool_)}
-    for channel, stamps in recording.channel_times.items():
-        rows = np.searchsorted(time, stamps)
-        values = _channel_values(recording, channel)
-        for j, name in enumerate(channel_columns(channel, recording.n)):
-            columns[name] = np.zeros(len(time))
-            columns[name][rows] = values[:, j]
-            empty[name] = np.ones(len(time), dtype=np.bool_)
-            empty[name][rows] = False
-    return Table(columns=columns, empty=empty)
+def row_times(recording: Recording) -> Array:
+    """Return the time of each row of the table, the union of all time stamps [s], (rows,)."""
+    return np.unique(np.concatenate(list(recording.channel_times.values())))
+
+
+def check_size(recording: Recording, path: Path) -> None:
+    """Refuse a recording that would not be read again from a file.
+
+    Raises:
+        InvalidFile: It is too large.
+    """
+    rows = len(row_times(recording))
+    samples = {
+        channel: (len(stamps), len(channel_columns(channel, recording.n)))
+        for channel, stamps in recording.channel_times.items()
+    }
+    columns = 1 + sum(columns for _, columns in samples.values())
+    cells = rows + sum(count * columns for count, columns in samples.values())
+    check_recording(path, rows, columns, cells)
+
+
+def to_blocks(recording: Recording, time: Array) -> Iterator[dict[str, tuple[Array, Mask]]]:
+    """Lay all channels out on their common rows, some thousand rows at once.
+
+    Args:
+        recording: The recording.
+        time: As `row_times` returns them.
+
+    Yields:
+        Values, 0 where a cell is empty, and which cells are empty, by column.
+    """
+    for start in range(0, len(time), BLOCK_ROWS):
+        part = time[start : start + BLOCK_ROWS]
+        block = {TIME_COLUMN: (part, np.zeros(len(part), dtype=np.bool_))}
+        for channel, stamps in recording.channel_times.items():
+            first = np.searchsorted(stamps, part[0])
+            last = np.searchsorted(stamps, part[-1], side="right")
+            rows = np.searchsorted(part, stamps[first:last])
+            samples = _channel_values(recording, channel, slice(first, last))
+            empty = np.ones(len(part), dtype=np.bool_)
+            empty[rows] = False
+            for j, name in enumerate(channel_columns(channel, recording.n)):
+                values = np.zeros(len(part))
+                values[rows] = samples[:, j]
+                block[name] = values, empty
+        yield block
 
 
 def to_document(recording: Recording, rows: int) -> dict[str, Any]:
@@ -70,96 +103,80 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
     Raises:
         InvalidFile: With all faults that were found.
     """
-    written = list(table.columns)
-    names = [canonical(name) for name in written]
-    faults = name_faults(written) + _document_faults(document, table.rows)
+    faults = Faults()
+    faults.add(name_faults(table.names))
+    faults.add(_document_faults(document, table.rows))
     if not table.rows:
-        faults.append("there is no row of data")
-    if faults:
-        raise InvalidFile(path, shortened(faults))
-    table = Table(
-        columns=dict(zip(names, table.columns.values(), strict=True)),
-        empty=dict(zip(names, table.empty.values(), strict=True)),
-        lines=table.lines,
-        written=dict(zip(names, written, strict=True)),
-    )
-    n = cables(names)
-    present = [
-        c for c in (*CABLE_COLUMNS, *FIXED_COLUMNS) if channel_columns(c, n)[0] in table.columns
-    ]
-    faults = _time_faults(table)
-    for channel in present:
-        faults += _cell_faults(table, channel_columns(channel, n))
-    if "poses" in present and not faults:
-        faults = _quaternion_faults(table)
-    if faults:
-        raise InvalidFile(path, shortened(faults))
-    return _assemble(table, document or {}, path, n, present)
+        faults.add(["there is no row of data"])
+    faults.check(path)
+    columns = Cells(table, faults, path)
+    time = columns.time()
+    n = cables(columns.written)
+    channels = {}
+    for channel in (*CABLE_COLUMNS, *FIXED_COLUMNS):
+        if channel_columns(channel, n)[0] in columns.written:
+            filled, values = columns.samples(channel_columns(channel, n))
+            if channel == "poses":
+                columns.check_quaternions(filled, values)
+            if len(values):
+                channels[channel] = _frozen(time[filled]), values
+    points = columns.exit_points(n)
+    faults.check(path)
+    return _assemble(channels, document or {}, path, points)
 
 
 def _assemble(
-    table: Table, document: Mapping[str, Any], path: Path, n: int, present: list[str]
+    channels: dict[str, tuple[Array, Array]],
+    document: Mapping[str, Any],
+    path: Path,
+    measured_points: Array | None,
 ) -> Recording:
-    """Build the recording from a table without faults."""
-    channels = {c: _samples(table, channel_columns(c, n)) for c in present}
-    channels = {c: (time, value) for c, (time, value) in channels.items() if len(time)}
+    """Build the recording from channels without faults, which go as they are used."""
     if "unstrained_length" not in channels:
         raise InvalidFile(path, ["the length columns are empty"])
-    time, lengths = channels["unstrained_length"]
-    stamped = {
-        c: Stamped(time=t, value=v) for c, (t, v) in channels.items() if c in STAMPED_CHANNELS
-    }
+    time, lengths = channels.pop("unstrained_length")
     poses = imu = None
     if "poses" in channels:
-        t, v = channels["poses"]
-        poses = PoseSamples(time=t, position=v[:, :3], quaternion=v[:, 3:])
+        t, v = channels.pop("poses")
+        poses = PoseSamples(time=t, position=_frozen(v[:, :3]), quaternion=_frozen(v[:, 3:]))
     if "imu" in channels:
-        t, v = channels["imu"]
-        imu = Imu(time=t, angular_rate=v[:, :3], specific_force=v[:, 3:])
+        t, v = channels.pop("imu")
+        imu = Imu(time=t, angular_rate=_frozen(v[:, :3]), specific_force=_frozen(v[:, 3:]))
+    stamped = {c: Stamped(time=t, value=_frozen(v)) for c, (t, v) in channels.items()}
     try:
         points = document.get("exit_points_m")
         if points is None:
-            points = _exit_points(table, n)
+            points = measured_points
         metadata = RecordingMetadata(source=path.name)
         if document:
             metadata = RecordingMetadata.from_dict(document.get("metadata", {}))
         return Recording(
-            time=time, unstrained_length=lengths, poses=poses, imu=imu,
+            time=time, unstrained_length=_frozen(lengths), poses=poses, imu=imu,
             exit_points=points, metadata=metadata, **stamped,
         )  # fmt: skip
     except InvalidField as error:
         raise InvalidFile(path, [str(error)]) from error
 
 
-def _channel_values(recording: Recording, channel: str) -> Array:
-    """Return the columns of a channel side by side."""
+def _channel_values(recording: Recording, channel: str, part: slice) -> Array:
+    """Return the columns of a channel side by side, in a part of its samples."""
     if channel == "unstrained_length":
-        return recording.unstrained_length
+        return recording.unstrained_length[part]
     if channel == "poses" and recording.poses is not None:
-        return np.concatenate([recording.poses.position, recording.poses.quaternion], axis=1)
+        poses = recording.poses
+        return np.concatenate([poses.position[part], poses.quaternion[part]], axis=1)
     if channel == "imu" and recording.imu is not None:
-        return np.concatenate([recording.imu.angular_rate, recording.imu.specific_force], axis=1)
+        imu = recording.imu
+        return np.concatenate([imu.angular_rate[part], imu.specific_force[part]], axis=1)
     stamped: Stamped = getattr(recording, channel)
-    return stamped.value
+    return stamped.value[part]
 
 
-def _samples(table: Table, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Return time (K,) and values (K, columns) of the rows where a channel has a sample."""
-    keep = ~table.empty[names[0]]
-    return table.columns[TIME_COLUMN][keep], np.stack(
-        [table.columns[c][keep] for c in names], axis=1
-    )
-
-
-def _exit_points(table: Table, n: int) -> Array | None:
-    """Return the medians of measured exit points, shape (n, 3), or None."""
-    names = exit_point_columns(n)
-    if names[0] not in table.columns:
-        return None
-    columns = [table.columns[name][~table.empty[name]] for name in names]
-    if min(len(column) for column in columns) == 0:
-        return None
-    return np.array([np.median(column) for column in columns]).reshape(n, 3)
+def _frozen(array: Array) -> Array:
+    """Return an array that owns its values, read-only, so that values need not copy it again."""
+    array = np.ascontiguousarray(array) if array.base is None else array.copy()
+    array.setflags(write=False)
+    return array
 
 
 def _document_faults(document: Mapping[str, Any] | None, rows: int) -> list[str]:
@@ -172,46 +189,3 @@ def _document_faults(document: Mapping[str, Any] | None, rows: int) -> list[str]
     if written is not None and written != rows:
         return [f"the file is truncated: {rows} of {written} rows are there"]
     return []
-
-
-def _time_faults(table: Table) -> list[str]:
-    """Describe time stamps that are empty, not finite or do not increase."""
-    time, empty = table.columns[TIME_COLUMN], table.empty[TIME_COLUMN]
-    bad = empty | ~np.isfinite(time)
-    faults = [
-        f"{table.row_name(int(i))}, column {TIME_COLUMN!r}: "
-        f"got {'nothing' if empty[i] else time[i]}; allowed: a finite time"
-        for i in np.flatnonzero(bad)
-    ]
-    if faults:
-        return faults
-    return [
-        f"{table.row_name(int(i) + 1)}, column {TIME_COLUMN!r}: "
-        f"got {time[i + 1]}; allowed: > {time[i]}, the time of the row before"
-        for i in np.flatnonzero(np.diff(time) <= 0)
-    ]
-
-
-def _cell_faults(table: Table, names: tuple[str, ...]) -> list[str]:
-    """Describe cells that are not finite, or empty while their channel has a sample."""
-    empty = np.stack([table.empty[name] for name in names], axis=1)
-    values = np.stack([table.columns[name] for name in names], axis=1)
-    torn = empty & ~empty.all(axis=1, keepdims=True)
-    bad = torn | (~empty & ~np.isfinite(values))
-    return [
-        f"{table.row_name(int(row))}, column {table.written[names[j]]!r}: got "
-        f"{'nothing' if torn[row, j] else values[row, j]}; allowed: a finite number"
-        for row, j in np.argwhere(bad)
-    ]
-
-
-def _quaternion_faults(table: Table) -> list[str]:
-    """Describe quaternions that are no rotation."""
-    names = FIXED_COLUMNS["poses"][3:]
-    norm = np.linalg.norm(np.stack([table.columns[name] for name in names], axis=1), axis=1)
-    bad = ~table.empty[names[0]] & ~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE)
-    return [
-        f"{table.row_name(int(row))}, columns 'quaternion_w' to 'quaternion_z': got norm "
-        f"{norm[row]:.6g}; allowed: within {UNIT_NORM_TOLERANCE:g} of 1"
-        for row in np.flatnonzero(bad)
-    ]

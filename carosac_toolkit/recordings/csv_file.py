@@ -4,30 +4,35 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable
+import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, TextIO
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile
-from carosac_toolkit.base.file_limits import check_text_size
-from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
+from carosac_toolkit.base.file_limits import check_recording, check_text_size, doubles
+from carosac_toolkit.recordings.conversion import from_table, row_times, to_blocks, to_document
+from carosac_toolkit.recordings.csv_cells import CellParser
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.recordings.table import Table, shortened
+from carosac_toolkit.recordings.table import Mask, shortened
+
+BLOCK_CHARACTERS = 2**21  # that are parsed at once
+LINE_CHARACTERS_MAX = 2**17
+COMMENT_LINES_MAX = 100_000
 
 
 def write_csv(recording: Recording, path: Path) -> None:
     """Write a recording; every number reads back to the same float64."""
-    table = to_table(recording)
-    document = json.dumps(to_document(recording, table.rows), indent=1)
+    time = row_times(recording)
+    document = json.dumps(to_document(recording, len(time)), indent=1)
     with path.open("w", encoding="utf-8", newline="\n") as stream:
         stream.writelines(f"# {line}\n" for line in document.splitlines())
-        stream.write(",".join(table.columns) + "\n")
-        cells = [_cells(column, table.empty[name]) for name, column in table.columns.items()]
-        stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+        for number, block in enumerate(to_blocks(recording, time)):
+            if not number:
+                stream.write(",".join(block) + "\n")
+            cells = [_cells(column, empty) for column, empty in block.values()]
+            stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
 
 
 def read_csv(path: Path) -> Recording:
@@ -36,38 +41,75 @@ def read_csv(path: Path) -> Recording:
     Raises:
         InvalidFile: With all faults that were found.
     """
-    check_text_size(path)
+    check_text_size(path, path.stat().st_size)
+    with path.open("rb") as ending:
+        ending.seek(-1, os.SEEK_END)
+        truncated = ending.read() != b"\n"
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as stream:
+            lines = _Lines(stream, path)
+            document = _document(lines.comments(), path)
+            header = lines.header()
+            if document is not None and truncated:
+                raise InvalidFile(path, ["the file is truncated: its last line has no newline"])
+            table = CellParser(_names(header, path), path).table(lines.blocks())
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"not a text file: {error}"]) from error
-    lines = text.splitlines()
-    comments = 0
-    while comments < len(lines) and lines[comments].startswith("#"):
-        comments += 1
-    document = _document(lines[:comments], path)
-    if comments == len(lines):
-        raise InvalidFile(path, ["there is no header line with column names"])
-    if document is not None and not text.endswith("\n"):
-        raise InvalidFile(path, ["the file is truncated: its last line has no newline"])
-    names = _names(lines[comments], path)
-    filled = [(i + 1, lines[i]) for i in range(comments + 1, len(lines)) if lines[i].strip()]
-    numbers = [number for number, _ in filled]
-    rows = _split([line for _, line in filled], path)
-    return from_table(_table(names, rows, numbers, path), document, path)
+    return from_table(table, document, path)
 
 
-def _cells(column: Array, empty: NDArray[np.bool_]) -> list[str]:
+class _Lines:
+    """Lines of a file, in order, none longer than a table can have."""
+
+    def __init__(self, stream: TextIO, path: Path) -> None:
+        self._stream = stream
+        self._path = path
+        self._number = 0  # of `_line`
+        self._line = ""
+        self._advance()
+
+    def comments(self) -> list[str]:
+        """Return the comment lines at the top, without `#`."""
+        comments = []
+        while self._line.startswith("#"):
+            comments.append(self._line[1:].rstrip("\n"))
+            self._advance()
+            if self._number > COMMENT_LINES_MAX:
+                raise InvalidFile(self._path, ["the comment lines at the top do not end"])
+        return comments
+
+    def header(self) -> str:
+        """Return the line after the comments."""
+        if not self._line:
+            raise InvalidFile(self._path, ["there is no header line with column names"])
+        header = self._line.rstrip("\n")
+        self._advance()
+        return header
+
+    def blocks(self) -> Iterator[tuple[list[str], list[int]]]:
+        """Yield the lines that are not blank, some at once, with their numbers."""
+        while self._line:
+            lines, numbers, size = list[str](), list[int](), 0
+            while self._line and size < BLOCK_CHARACTERS:
+                if not self._line.isspace():
+                    lines.append(self._line)
+                    numbers.append(self._number)
+                size += len(self._line)
+                self._advance()
+            if lines:
+                yield lines, numbers
+
+    def _advance(self) -> None:
+        self._line = self._stream.readline(LINE_CHARACTERS_MAX)
+        self._number += 1
+        if len(self._line) == LINE_CHARACTERS_MAX:
+            fault = f"line {self._number}: longer than {LINE_CHARACTERS_MAX - 1} characters"
+            raise InvalidFile(self._path, [fault])
+
+
+def _cells(column: Array, empty: Mask) -> list[str]:
     """Write each value as the shortest text that reads back to the same float64."""
     return ["" if gone else repr(v) for v, gone in zip(column.tolist(), empty, strict=True)]
-
-
-def _split(lines: list[str], path: Path) -> list[list[str]]:
-    """Split lines into cells, each line on its own."""
-    try:
-        return [next(csv.reader([line])) for line in lines]
-    except csv.Error as error:
-        raise InvalidFile(path, [f"not a CSV file: {error}"]) from error
 
 
 def _names(header: str, path: Path) -> list[str]:
@@ -77,10 +119,14 @@ def _names(header: str, path: Path) -> list[str]:
         mark = max(others, key=lambda key: others[key])
         fault = f"the header line has no comma: is the separator {mark!r}? allowed: ','"
         raise InvalidFile(path, [f"{fault}, and '.' in numbers"])
-    names = [name.strip() for name in _split([header], path)[0]]
-    double = sorted({name for name in names if names.count(name) > 1})
-    if double:
-        raise InvalidFile(path, [f"column {name!r} appears twice" for name in double])
+    try:
+        names = [name.strip() for name in next(csv.reader([header]), [""])]
+    except csv.Error as error:
+        raise InvalidFile(path, [f"not a CSV file: {error}"]) from error
+    check_recording(path, 0, len(names), 0)
+    faults = [f"column {name!r} appears twice" for name in doubles(names)]
+    if faults:
+        raise InvalidFile(path, shortened(faults))
     return names
 
 
@@ -89,7 +135,7 @@ def _document(lines: list[str], path: Path) -> dict[str, Any] | None:
     if not lines:
         return None
     try:
-        document = json.loads("\n".join(line[1:] for line in lines))
+        document = json.loads("\n".join(lines))
     except RecursionError as error:
         raise InvalidFile(path, ["the comment lines at the top are nested too deeply"]) from error
     except ValueError as error:
@@ -100,39 +146,3 @@ def _document(lines: list[str], path: Path) -> dict[str, Any] | None:
     if not isinstance(document, dict):
         raise InvalidFile(path, ["the comment lines at the top are not a JSON object"])
     return document
-
-
-def _table(names: list[str], rows: list[list[str]], numbers: list[int], path: Path) -> Table:
-    """Turn text cells into numbers."""
-    faults = [
-        f"line {number}: {len(row)} cells; allowed: {len(names)}, as the header has"
-        for row, number in zip(rows, numbers, strict=True)
-        if len(row) != len(names)
-    ]
-    if faults:
-        raise InvalidFile(path, shortened(faults))
-    values = np.zeros((len(rows), len(names)))
-    empty = np.zeros(values.shape, dtype=np.bool_)
-    for i, row in enumerate(rows):
-        faults += _parse(row, values[i], empty[i], names, numbers[i])
-    if faults:
-        raise InvalidFile(path, shortened(faults))
-    return Table(
-        columns={name: values[:, j].copy() for j, name in enumerate(names)},
-        empty={name: empty[:, j].copy() for j, name in enumerate(names)},
-        lines=numbers,
-    )
-
-
-def _parse(row: list[str], values: Any, empty: Any, names: Iterable[str], number: int) -> list[str]:
-    """Fill one row of values; return the faults of cells that are no number."""
-    faults = []
-    for j, (cell, name) in enumerate(zip(row, names, strict=True)):
-        if not cell.strip():
-            empty[j] = True
-            continue
-        try:
-            values[j] = float(cell.replace("_", "no digit"))  # Python alone takes 1_0 for 10
-        except ValueError:
-            faults.append(f"line {number}, column {name!r}: got {cell!r}; allowed: a number")
-    return faults

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile, nearest_name
+from carosac_toolkit.base.file_limits import check_text_size
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
+from carosac_toolkit.recordings.conversion import check_size
 from carosac_toolkit.recordings.crash_safe import read_crash_safe
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
@@ -70,14 +72,17 @@ def save_recording(recording: Recording, path: str | Path) -> None:
 
     Raises:
         InvalidField: Another suffix, or a folder that is not there.
+        InvalidFile: It would be too large to be read again.
     """
     file = Path(path)
     writer = WRITERS_BY_SUFFIX.get(file.suffix.lower())
     if writer is None:
         allowed = f"suffix {' or '.join(WRITERS_BY_SUFFIX)}"
         raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
+    check_size(recording, file)
     with _replacing(file) as temporary:
         writer(recording, temporary)
+        check_text_size(file, temporary.stat().st_size)
 
 
 def export_tum(recording: Recording, path: str | Path) -> None:

@@ -9,10 +9,22 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import InvalidFile
-from carosac_toolkit.base.file_limits import open_parquet
-from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
+from carosac_toolkit.base.file_limits import (
+    CELL_BYTES,
+    check_recording,
+    doubles,
+    encoded_size,
+    open_parquet,
+)
+from carosac_toolkit.recordings.conversion import (
+    BLOCK_ROWS,
+    from_table,
+    row_times,
+    to_blocks,
+    to_document,
+)
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.recordings.table import Table
+from carosac_toolkit.recordings.table import Column, Table, shortened
 
 METADATA_KEY = b"carosac"
 
@@ -22,20 +34,22 @@ def write_parquet(recording: Recording, path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = to_table(recording)
-    arrays = [
-        pa.array(column, type=pa.float64(), mask=table.empty[name])
-        for name, column in table.columns.items()
-    ]
-    document = json.dumps(to_document(recording, table.rows)).encode()
-    schema = pa.schema(
-        [(name, pa.float64()) for name in table.columns], metadata={METADATA_KEY: document}
-    )
-    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
+    time = row_times(recording)
+    document = json.dumps(to_document(recording, len(time))).encode()
+    writer = None
+    for block in to_blocks(recording, time):
+        arrays = [pa.array(x, type=pa.float64(), mask=empty) for x, empty in block.values()]
+        if writer is None:
+            fields = [(name, pa.float64()) for name in block]
+            schema = pa.schema(fields, metadata={METADATA_KEY: document})
+            writer = pq.ParquetWriter(path, schema)
+        writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+    assert writer is not None  # a recording has a sample
+    writer.close()
 
 
 def read_parquet(path: Path) -> Recording:
-    """Read a Parquet recording.
+    """Read a Parquet recording, column by column.
 
     Raises:
         InvalidFile: With all faults that were found.
@@ -45,23 +59,39 @@ def read_parquet(path: Path) -> Recording:
     try:
         file = open_parquet(path)
         names = file.schema_arrow.names
+        metadata = file.metadata
+        check_recording(path, metadata.num_rows, len(names), encoded_size(file) // (2 * CELL_BYTES))
         _check_columns(file.schema_arrow, path)
-        stored = file.read()
+        document = _document((file.schema_arrow.metadata or {}).get(METADATA_KEY), path)
+        take = _Columns(file, path).take
+        return from_table(Table(names=names, rows=metadata.num_rows, take=take), document, path)
     except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name is not UTF-8
         fault = f"this is no whole Parquet file: {str(error).splitlines()[0]}"
         raise InvalidFile(path, [fault]) from error
-    columns, empty = {}, {}
-    for name in names:
-        column = stored[name].combine_chunks()
-        empty[name] = np.asarray(column.is_null().to_numpy(zero_copy_only=False), dtype=np.bool_)
-        try:
-            values = column.cast(pa.float64()).fill_null(0.0).to_numpy(zero_copy_only=False)
-        except pa.ArrowException as error:
-            fault = f"column {name!r}: {str(error).splitlines()[0]}"
-            raise InvalidFile(path, [fault]) from error
-        columns[name] = np.array(values, dtype=np.float64)
-    document = _document((stored.schema.metadata or {}).get(METADATA_KEY), path)
-    return from_table(Table(columns=columns, empty=empty), document, path)
+
+
+class _Columns:
+    """Columns of an open file."""
+
+    def __init__(self, file: Any, path: Path) -> None:
+        self._file = file
+        self._path = path
+
+    def take(self, name: str) -> Column:
+        """Read a column; a `carosac_toolkit.recordings.table.Table.take`."""
+        import pyarrow as pa
+
+        values, filled = [], []
+        for batch in self._file.iter_batches(batch_size=BLOCK_ROWS, columns=[name]):
+            column = batch.column(0)
+            present = column.drop_null()
+            try:
+                values.append(present.cast(pa.float64()).to_numpy(zero_copy_only=False))
+            except pa.ArrowException as error:
+                fault = f"column {name!r}: {str(error).splitlines()[0]}"
+                raise InvalidFile(self._path, [fault]) from error
+            filled.append(column.is_valid().to_numpy(zero_copy_only=False))
+        return np.concatenate(values), np.concatenate(filled)
 
 
 def _check_columns(schema: Any, path: Path) -> None:
@@ -73,10 +103,9 @@ def _check_columns(schema: Any, path: Path) -> None:
         for field in schema
         if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
     ]
-    double = {name for name in schema.names if schema.names.count(name) > 1}
-    faults += [f"column {name!r} appears twice" for name in sorted(double)]
+    faults += [f"column {name!r} appears twice" for name in doubles(schema.names)]
     if faults:
-        raise InvalidFile(path, faults)
+        raise InvalidFile(path, shortened(faults))
 
 
 def _document(text: bytes | None, path: Path) -> dict[str, Any] | None:

@@ -24,10 +24,11 @@ from carosac_toolkit.recordings.conversion import RECORDING_SCHEMA, from_table
 from carosac_toolkit.recordings.mat_process import read_mat
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.recordings.table import Table
+from carosac_toolkit.recordings.table import Column, Table
 
 Part = tuple[Array, tuple[str, ...], str]  # values (N, columns), columns, variable
 REQUIRED_VARIABLES = ("time_stamps", "measured_cable_lengths", "ef_poses")
+_VARIABLES = "|".join(REQUIRED_VARIABLES) + r"|pulley\d+_poses"
 _PULLEY_VARIABLE = re.compile(r"pulley(\d+)_poses")
 
 
@@ -40,10 +41,10 @@ def read_scampi_mat(path: Path) -> Recording:
     Raises:
         InvalidFile: With all faults that were found.
     """
-    variables = {name: np.asarray(x, dtype=np.float64) for name, x in read_mat(path).items()}
+    variables, names = read_mat(path, _VARIABLES)
     faults = []
     for name in (name for name in REQUIRED_VARIABLES if name not in variables):
-        hint = did_you_mean(name, list(variables)) or f"; there are {sorted(variables)}"
+        hint = did_you_mean(name, names) or f"; there are {names}"
         faults.append(f"variable {name!r} is missing{hint}")
     if faults:
         raise InvalidFile(path, faults)
@@ -56,10 +57,13 @@ def read_scampi_mat(path: Path) -> Recording:
     ]
     if faults:
         raise InvalidFile(path, faults)
-    columns = {
-        name: value[:, j].copy() for value, names, _ in parts for j, name in enumerate(names)
-    }
-    table = Table(columns=columns, empty={c: np.zeros(rows, dtype=np.bool_) for c in columns})
+    columns = {name: (value, j) for value, names, _ in parts for j, name in enumerate(names)}
+
+    def take(name: str) -> Column:
+        value, j = columns[name]
+        return value[:, j].copy(), np.ones(rows, dtype=np.bool_)
+
+    table = Table(names=list(columns), rows=rows, take=take)
     metadata = RecordingMetadata(source=path.name, description="imported from the SCAMPI layout")
     return from_table(table, {"schema": RECORDING_SCHEMA, "metadata": metadata.to_dict()}, path)
 

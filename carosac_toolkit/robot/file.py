@@ -22,7 +22,7 @@ from carosac_toolkit.base.errors import (
     nearest_name,
 )
 from carosac_toolkit.base.units import InvalidQuantity
-from carosac_toolkit.base.yaml import FieldPath, format_path, read_yaml
+from carosac_toolkit.base.yaml import CHARACTERS_MAX, FieldPath, format_path, read_yaml
 from carosac_toolkit.robot.build import build_robot
 from carosac_toolkit.robot.checks import cross_faults
 from carosac_toolkit.robot.robot import Robot
@@ -30,6 +30,8 @@ from carosac_toolkit.robot.schema import Reads, RobotFile
 
 _ROBOT_SUFFIXES = (".yaml", ".yml")
 _VALUE_LENGTH_SHOWN = 80
+_FAULTS_SHOWN = 50
+_ERRORS_MAX = 1000  # of the schema that are worded
 _USUAL_FIELDS: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
     ("workspace",): ("min", "max"), ("home",): ("position", "rpy_deg"),
 }  # fmt: skip
@@ -70,7 +72,8 @@ def robot_text(name_or_path: str | Path) -> str:
         bundled = f"bundled robots are {', '.join(list_robots())}"
         raise MissingFile(path, bundled + did_you_mean(path.stem, list(list_robots())))
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as stream:
+            return stream.read(CHARACTERS_MAX + 1)  # `read_yaml` refuses more
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"not UTF-8 text (byte {error.start})"]) from error
     except OSError as error:
@@ -151,6 +154,7 @@ def fields_to_give(path: FieldPath) -> list[tuple[FieldPath, str]]:
 def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath, str]]]:
     """Check plain data, field by field and against each other."""
     model, parts, errors = _validate(data)
+    errors = errors[:_ERRORS_MAX]
     unknown = _unknown_keys(errors)
     return model, _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
 
@@ -162,7 +166,9 @@ def _looks_like_path(text: str) -> bool:
 
 def _sorted(faults: list[tuple[int, str]]) -> list[str]:
     """Order faults by line and put the line in front."""
-    return [f"line {line}: {what}" for line, what in sorted(set(faults))]
+    texts = [f"line {line}: {what}" for line, what in sorted(set(faults))]
+    more = len(texts) - _FAULTS_SHOWN
+    return [*texts[:_FAULTS_SHOWN], f"and {more} more"] if more > 0 else texts
 
 
 def _validate(

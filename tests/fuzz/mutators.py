@@ -23,6 +23,7 @@ VALUES: tuple[Any, ...] = (
     None, True, -1, 0, 1.5, 1e308, float("nan"), 10**400, "", "x", [], [1], [[1.0]], {}, {"a": 1},
 )  # fmt: skip
 DELIMITERS = re.compile(rb"([\s,:;=<>\"'\[\]{}]+)")
+GROWN_MAX = 2**17  # bytes that are put in at once
 RUN_MAX = 64  # bytes that are cut, copied or drawn at once
 
 
@@ -44,6 +45,14 @@ def spliced(data: bytes, rng: np.random.Generator) -> bytes:
     start, place = rng.integers(len(data), size=2)
     run = data[start : start + rng.integers(1, RUN_MAX)]
     return data[:place] + run + data[place + rng.choice([0, len(run)]) :]
+
+
+def grown(data: bytes, rng: np.random.Generator) -> bytes:
+    """Repeat a run of bytes up to thousands of times: long lines, wide headers, many rows."""
+    start = rng.integers(len(data))
+    run = data[start : start + rng.integers(1, RUN_MAX)]
+    times = 2 ** int(rng.integers(4, 15))
+    return data[:start] + (run * times)[:GROWN_MAX] + data[start:]
 
 
 def removed(data: bytes, rng: np.random.Generator) -> bytes:
@@ -160,7 +169,7 @@ def _npy_changed(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 MUTATORS_OF_BYTES: tuple[Mutator, ...] = (flipped, truncated, spliced, removed)
-MUTATORS_OF_TEXT: tuple[Mutator, ...] = (*MUTATORS_OF_BYTES, renumbered, reworded, relined)
+MUTATORS_OF_TEXT: tuple[Mutator, ...] = (*MUTATORS_OF_BYTES, renumbered, reworded, relined, grown)
 
 
 def mutated(

@@ -70,6 +70,23 @@ def with_column(name, *values, as_json=False):
     return change
 
 
+def wide_parquet(_):
+    """More columns than any robot has."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table({f"a{i}": [1.0] for i in range(3000)}), sink)
+    return sink.getvalue().to_pybytes()
+
+
+def large_matrices(_):
+    """Names that nobody asked for, and one that takes 800 MB as float64."""
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    ones = np.ones((100_000, 1000), np.uint8)
+    savemat(stream, {"other": ones[:9], "ef_poses": ones}, do_compression=True)
+    return stream.getvalue()
+
+
 AXES = ["carosac", "c", "e", "s", "t", "p"]
 FOUND = [
     ("robot YAML", lambda data: b"a: " + b"[" * 50_000),
@@ -108,6 +125,12 @@ FOUND = [
     ("rows of a study", with_column("more", "[1]", as_json=True)),
     ("rows of a study", with_column("more", "[" * 100_000, as_json=True)),
     ("rows of a study", with_column("more", "1" * 400, as_json=True)),
+    ("CSV", lambda data: b"time_s," + b",".join(b"a%d" % i for i in range(20_000)) + b"\n1\n"),
+    ("CSV", lambda data: b"#" + b"1" * 300_000),
+    ("Parquet", wide_parquet),
+    ("MATLAB", large_matrices),
+    ("robot YAML", lambda data: b"".join(b"k%d: 1\n" % i for i in range(17_000))),
+    ("CASPR bodies", lambda data: b"<r>" + b"<a/>" * 600_000 + b"</r>"),
     ("bag MCAP", lambda data: data[:9] + b"\xff" * 7 + data[16:]),
 ]
 

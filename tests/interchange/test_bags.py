@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.interchange import bag_channels, bag_chunks
 from carosac_toolkit.interchange.bag import open_bag
 from carosac_toolkit.interchange.bag_recording import Topics, read_bag
 from carosac_toolkit.recordings.files import load_recording, save_recording
@@ -240,3 +241,27 @@ def test_other_files_are_no_bags(tmp_path):
         pass
     with pytest.raises(InvalidFile, match="no metadata"), open_bag([tmp_path]):
         pass
+
+
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_a_chunk_of_a_bag_that_decompresses_to_much_is_refused(tmp_path, compression, monkeypatch):
+    from rosbags.rosbag1 import Writer
+
+    monkeypatch.setattr(bag_chunks, "CHUNK_BYTES_MAX", 100_000)
+    bags, path = Bags("ros1"), tmp_path / "run.bag"
+    kind = "std_msgs/msg/Float64MultiArray"
+    writer = Writer(path)
+    writer.set_compression(Writer.CompressionFormat[compression])
+    with writer:
+        connection = writer.add_connection("/array", kind, typestore=bags.store)
+        content = bags.store.serialize_ros1(bags.array(np.ones(100_000)), kind)
+        writer.write(connection, 1, content)
+    assert path.stat().st_size < 20_000
+    with open_bag([path]) as bag, pytest.raises(InvalidFile, match="a chunk of more than"):
+        bag.first("/array")
+
+
+def test_a_message_of_thousands_of_numbers_is_no_row_of_a_recording():
+    samples = bag_channels._Samples("run.bag")
+    with pytest.raises(InvalidFile, match="has 8000 columns; allowed: up to 1000"):
+        samples.add(1, None, np.ones(8000))

@@ -8,8 +8,13 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+<<<<<<< HEAD
 from carosac_toolkit.base.errors import MALFORMED, InvalidFile
 from carosac_toolkit.base.file_limits import open_parquet
+=======
+from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.file_limits import read_rows
+>>>>>>> size-mends
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, Value, column_kinds, in_common_columns
 
@@ -54,7 +59,11 @@ def read_part(path: Path) -> list[Row]:
     import pyarrow as pa
 
     try:
+<<<<<<< HEAD
         return _rows(path)
+=======
+        table = read_rows(path)
+>>>>>>> size-mends
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, *MALFORMED) as error:
