@@ -598,6 +598,7 @@ def test_the_first_way_from_a_new_home_is_gone_slowly_whatever_is_asked_for(rese
         to_the_end(guard)
         guard.inner.trip = False
         guard.reset_fault()
+        guard.home(home_state())  # no new home, but nobody has seen the last one prove right
         guard.enable()
     since = len(guard.inner.seen)
     for _ in range(150):
