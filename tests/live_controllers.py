@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 import time
 
@@ -29,6 +30,13 @@ class Raising(_Failing):
 class Exiting(_Failing):
     def fail(self, command):
         sys.exit()
+
+
+class Cancelled(_Failing):
+    """Raises what a library for tasks would; no `Exception`."""
+
+    def fail(self, command):
+        raise asyncio.CancelledError
 
 
 class Interrupting(_Failing):

@@ -157,6 +157,7 @@ def test_an_enabled_run_goes_where_it_is_told_and_ends_at_rest(tmp_path, capsys)
     [
         ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
         ("Exiting", "controller", "controller Exiting: called sys.exit(None)", "by an open input"),
+        ("Cancelled", "controller", "CancelledError", "by an open input"),
         ("Interrupting", "controller", "KeyboardInterrupt", "by an open input"),
         ("Far", "command", "from where the winch stands", "by an open input"),
         ("Hanging", "controller", "the controller gave no command for", "by an open input"),
