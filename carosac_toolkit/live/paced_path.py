@@ -23,7 +23,7 @@ class PacedPath:
     Here each cycle goes on where the last one was, so that a missed one delays the rest.
 
     Attributes:
-        duration: Duration of the path and of the time that a slow start takes at most [s].
+        duration: Duration of the path [s], at most: it ends where `past_end` says so.
     """
 
     def __init__(
@@ -45,8 +45,7 @@ class PacedPath:
         self._rise_time = RISE_SHARE * speed / acceleration
         self.duration = path.duration
         if slow is not None:  # it may stay within the slow way to its end
-            self.duration *= max(1.0, speed / slow_speed)
-            self.duration += 2.0 * (speed / acceleration + self._rise_time)
+            self.duration *= 1.0 + speed / slow_speed
         self._time: float | None = None
         self._done = 0.0  # of the path's time
         self._rate: float | None = None  # of it

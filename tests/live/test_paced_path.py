@@ -43,13 +43,14 @@ def test_the_first_way_is_gone_slowly_and_the_rest_as_fast_as_before():
     assert jerk < 10.0 * ACCELERATION**2 / FAST  # no step in the acceleration of the positions
 
 
-def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end():
+@pytest.mark.parametrize("speed", [1.1 * SLOW, FAST])
+def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end(speed):
     goal = START + np.array([0.0, 0.0, 0.05])
     there_and_back = Course(
-        [line(START, goal, speed_max=FAST, acceleration_max=0.5),
-         line(goal, START, speed_max=FAST, acceleration_max=0.5)] * 5, rest=0.1,
+        [line(START, goal, speed_max=speed, acceleration_max=0.5),
+         line(goal, START, speed_max=speed, acceleration_max=0.5)] * 5, rest=0.1,
     )  # fmt: skip
-    paced = PacedPath(there_and_back, slow=lambda: True, slow_speed=SLOW, speed=FAST)
+    paced = PacedPath(there_and_back, slow=lambda: True, slow_speed=SLOW, speed=speed)
     time, last = 0.0, None
     while paced.past_end < 1.0:
         last = paced.window(time, 0.0, PERIOD).position[0, 0]
