@@ -34,8 +34,8 @@ class PacedPath:
 
         Args:
             path: The path.
-            slow: Whether the platform is to move slowly now, asked each cycle until it says no;
-                None: never.
+            slow: Whether the platform is to move slowly now, asked each cycle until it says no, at
+                the first cycle for never; None: never.
             slow_speed: Largest speed of the platform meanwhile [m/s].
             speed: Largest speed on the path [m/s].
             acceleration: Largest acceleration of the change to it [m/s^2].
@@ -80,7 +80,8 @@ class PacedPath:
 
     def _next_rate(self, period: float) -> float:
         """Return how fast the path's time passes in this cycle."""
-        if self._slow is None:
+        if self._slow is None or (self._rate is None and not self._slow()):
+            self._slow = None
             return 1.0
         if self._free_time > 0.0 or not self._slow():
             self._free_time += period
