@@ -39,6 +39,17 @@ class Cancelled(_Failing):
         raise asyncio.CancelledError
 
 
+class Stalling(KinematicSolverController):
+    """Takes 0.2 s for each tenth command."""
+
+    cycles = 0
+
+    def command(self, belief, reference):
+        self.cycles += 1
+        time.sleep(0.2 if self.cycles % 10 == 0 else 0.0)
+        return super().command(belief, reference)
+
+
 class Interrupting(_Failing):
     """Raises what the operator's Ctrl-C would, where nobody has pressed it."""
 
