@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 import time
 
@@ -29,6 +30,24 @@ class Raising(_Failing):
 class Exiting(_Failing):
     def fail(self, command):
         sys.exit()
+
+
+class Cancelled(_Failing):
+    """Raises what a library for tasks would; no `Exception`."""
+
+    def fail(self, command):
+        raise asyncio.CancelledError
+
+
+class Stalling(KinematicSolverController):
+    """Takes 0.2 s for each tenth command."""
+
+    cycles = 0
+
+    def command(self, belief, reference):
+        self.cycles += 1
+        time.sleep(0.2 if self.cycles % 10 == 0 else 0.0)
+        return super().command(belief, reference)
 
 
 class Interrupting(_Failing):

@@ -37,6 +37,7 @@ TENSION_SHIFT_MAX = 0.15  # sway at that speed shifts tensions by under 0.1
 REST_S = 1.0  # before each part of the way, and after the last
 GUARD_KEY = "guard"  # of the guard's settings among those of the driver
 PLC_DRIVER = "ads"
+FIRST_WAY_KEPT = "no other value: a new home starts slowly and watched"
 RESERVED_SETTINGS = {
     "motion": "--enable",
     "period": "--rate, or controller.NAME.period",
@@ -44,7 +45,10 @@ RESERVED_SETTINGS = {
     "home_anew": "--home-anew",
     "home_confirmed": "--home-confirmed",
     "home_change_max": "--home-anew, for a pose that was measured",
-    "first_speed": f"no other value: {TENSION_CHECK_SPEED_MAX:g} m/s of the platform",
+    "reset_at_once": "--reset",
+    "first_way": FIRST_WAY_KEPT,
+    "first_speed": FIRST_WAY_KEPT,
+    "first_shift_max": FIRST_WAY_KEPT,
 }  # which --set may not change, and the option that does
 
 
@@ -126,8 +130,7 @@ def make_path(robot: Robot, options: Options) -> Followed:
 
 def paced(path: Followed, options: Options, guard: GuardedDriver) -> PacedPath:
     """Return the path by cycles, slow while the guard watches the first way after a new home."""
-    slow = options.speed <= TENSION_CHECK_SPEED_MAX
-    if slow or not (options.home_anew and options.enable):
+    if options.speed <= TENSION_CHECK_SPEED_MAX or not guard.settings.motion:
         return PacedPath(path)
     return PacedPath(
         path, slow=lambda: guard.monitor.checks.first_way, slow_speed=TENSION_CHECK_SPEED_MAX,

@@ -23,7 +23,7 @@ class PacedPath:
     Here each cycle goes on where the last one was, so that a missed one delays the rest.
 
     Attributes:
-        duration: Duration of the path and of the time that a slow start takes at most [s].
+        duration: Duration of the path [s], at most: it ends where `past_end` says so.
     """
 
     def __init__(
@@ -34,8 +34,8 @@ class PacedPath:
 
         Args:
             path: The path.
-            slow: Whether the platform is to move slowly now, asked each cycle until it says no;
-                None: never.
+            slow: Whether the platform is to move slowly now, asked each cycle until it says no, at
+                the first cycle for never; None: never.
             slow_speed: Largest speed of the platform meanwhile [m/s].
             speed: Largest speed on the path [m/s].
             acceleration: Largest acceleration of the change to it [m/s^2].
@@ -45,8 +45,7 @@ class PacedPath:
         self._rise_time = RISE_SHARE * speed / acceleration
         self.duration = path.duration
         if slow is not None:  # it may stay within the slow way to its end
-            self.duration *= max(1.0, speed / slow_speed)
-            self.duration += 2.0 * (speed / acceleration + self._rise_time)
+            self.duration *= 1.0 + speed / slow_speed
         self._time: float | None = None
         self._done = 0.0  # of the path's time
         self._rate: float | None = None  # of it
@@ -81,7 +80,8 @@ class PacedPath:
 
     def _next_rate(self, period: float) -> float:
         """Return how fast the path's time passes in this cycle."""
-        if self._slow is None:
+        if self._slow is None or (self._rate is None and not self._slow()):
+            self._slow = None
             return 1.0
         if self._free_time > 0.0 or not self._slow():
             self._free_time += period

@@ -39,18 +39,24 @@ def short_pauses() -> Iterator[None]:
         sys.setswitchinterval(usual)
 
 
-def take_priority(command: str, *, inherited: bool = True) -> None:
+def take_priority(command: str, *, inherited: bool = True) -> tuple[int, os.sched_param] | None:
     """Have the scheduler of Linux put this thread before all others; say where it will not.
 
     Args:
         command: Name of the command for the message, such as ``carosac plc``.
         inherited: Whether the threads and processes that this one starts from now on have it too.
+
+    Returns:
+        Policy and parameter of before, or None where it stays.
     """
     try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
         policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
         os.sched_setscheduler(0, policy, os.sched_param(FIFO_PRIORITY))
     except (AttributeError, OSError) as error:
         print(f"{command}: warning: no priority: {error}", file=sys.stderr)
+        return None
+    return before
 
 
 def isolated_cores() -> set[int]:
@@ -74,11 +80,12 @@ class RealTime:
         self._command, self._at_rest = command, at_rest
         self._cores: set[int] | None = None
         self._locked = False
+        self._usual: tuple[int, os.sched_param] | None = None
         self._collected = 0.0
 
     def __enter__(self) -> RealTime:
         """Take priority, lock memory, and switch the collection of garbage off."""
-        take_priority(self._command)
+        self._usual = take_priority(self._command)
         self._locked = self._call("memory lock", "mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
         gc.collect()
         gc.disable()
@@ -97,12 +104,14 @@ class RealTime:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:  # fmt: skip
-        """Give back cores and memory, and collect garbage as before."""
+        """Give back cores, memory and priority, and collect garbage as before."""
         gc.enable()
         if self._locked:
             self._call("memory unlock", "munlockall")
         if self._cores:
             os.sched_setaffinity(0, self._cores)
+        if self._usual is not None:
+            os.sched_setscheduler(0, *self._usual)
 
     def _keep_a_core(self) -> set[int]:
         """Move this thread to one core; return those that it had, none where it stays."""

@@ -247,7 +247,7 @@ def _blamed(driver: Driver, part: str, plugin: object) -> Iterator[None]:
     try:
         with exit_refused(part, plugin):
             yield
-    except BaseException as error:  # a task that is cancelled is no reason to let go unnoticed
+    except BaseException as error:  # also CancelledError and GeneratorExit, which are no Exception
         if isinstance(driver, Supervisor):
             driver.fail(part, error)
         raise

@@ -184,10 +184,10 @@ class PlcDriver(
         """Have the PLC ramp to rest, switch the drives off and release this host.
 
         Nothing happens if the drives are off. If the PLC does not answer, the request stays and
-        the heartbeat ends, so that its watchdog stops the winches.
+        the heartbeat ends, so that its watchdog stops the winches and latches a fault.
 
         Raises:
-            CarosacError: The PLC obeys another host, which owns the winches.
+            CarosacError: No answer, or the PLC obeys another host, which owns the winches.
         """
         self._let_go(Request.DISABLE)
 
@@ -314,12 +314,9 @@ class PlcDriver(
                 self._wait_for_rest()
             if answer is not Answer.NONE:
                 exchange.quiet()
-            if request is Request.HOLD and answer is not Answer.DONE:
-                raise CarosacError(
-                    f"{self.name}: the PLC does not hold {fault}: {_REFUSALS[answer]}"
-                )
-            if answer is Answer.NONE:
-                return
+            what = "disable" if request is Request.DISABLE else f"hold {fault}"
+            if answer is Answer.NONE or (request is Request.HOLD and answer is not Answer.DONE):
+                raise CarosacError(f"{self.name}: the PLC does not {what}: {_REFUSALS[answer]}")
         self._refuse_other_host()
 
     def _refuse_other_host(self) -> None:

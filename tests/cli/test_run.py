@@ -15,6 +15,8 @@ import pytest
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.cli.run_builder import paced
+from carosac_toolkit.cli.run_options import Options
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import Words, listening
 from carosac_toolkit.live.library_noise import without_ads_lines
@@ -23,6 +25,7 @@ from carosac_toolkit.recordings.crash_safe import CutRecording, read_run
 from carosac_toolkit.trajectories import line
 from tests.plc_process import own_address
 from tests.robots import simple_robot
+from tests.safety.guard.guards import ROBOT, connected
 
 # a slow machine must not end a run: these are about what ends it
 AWAY = ("--home", "0.4", "-1.8", "3.0", "--set")
@@ -157,6 +160,7 @@ def test_an_enabled_run_goes_where_it_is_told_and_ends_at_rest(tmp_path, capsys)
     [
         ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
         ("Exiting", "controller", "controller Exiting: called sys.exit(None)", "by an open input"),
+        ("Cancelled", "controller", "CancelledError", "by an open input"),
         ("Interrupting", "controller", "KeyboardInterrupt", "by an open input"),
         ("Far", "command", "from where the winch stands", "by an open input"),
         ("Hanging", "controller", "the controller gave no command for", "by an open input"),
@@ -290,6 +294,11 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--set", "driver.real_time=false"), "a live run takes the time of the wall"),
         (("--set", "driver.home_anew=true"), "--home-anew"),
         (("--set", "driver.home_change_max=5"), "--home-anew, for a pose that was measured"),
+        (("--set", "driver.home_confirmed=true"), "allowed: --home-confirmed"),
+        (("--set", "driver.reset_at_once=true"), "allowed: --reset"),
+        (("--set", "driver.first_way=1e-3"), "a new home starts slowly and watched"),
+        (("--set", "driver.first_speed=1"), "a new home starts slowly and watched"),
+        (("--driver", "ads", *AWAY, "driver.first_shift_max=9"), "a new home starts slowly"),
         (("--set", "driver.guard.start_position=[0,0,2]"), "allowed: --home X Y Z"),
         (("--driver", "ads", *AWAY, "driver.motion=true"), "allowed: --enable"),
         (("--driver", "ads", *AWAY, "driver.inner.motion=true"), "allowed: --enable"),
@@ -337,6 +346,21 @@ def test_the_way_to_the_start_is_gone_first_with_rests():
     for name in ("position", "velocity", "acceleration"):
         wanted = np.concatenate([getattr(one, name) for one in each], axis=1)
         assert getattr(ahead, name) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("new_home", [True, False])
+def test_the_path_is_slow_where_the_guard_watches_a_new_home_whatever_the_options_say(new_home):
+    guard = connected(at_once=False)
+    guard.monitor.checks.first_way = new_home
+    end = ROBOT.home_position + np.array([0.5, 0.0, 0.0])
+    path = line(ROBOT.home_position, end, speed_max=0.5, acceleration_max=1.0)
+    followed = paced(path, Options(speed=0.5, acceleration=1.0), guard)
+    velocity = np.array([followed.window(0.02 * k, 0.0, 0.02).velocity[0, 0] for k in range(75)])
+    if new_home:
+        assert np.linalg.norm(velocity, axis=1).max() == pytest.approx(0.05, rel=0.06)
+    else:
+        assert velocity == pytest.approx(path.sample(0.02 * np.arange(75)).velocity, abs=1e-9)
+    guard.close()
 
 
 def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():

@@ -12,25 +12,26 @@ START = np.array([0.0, -1.0, 2.0])
 
 
 def followed(path, way):
-    """Positions and velocities of a path that is slow within a distance of where it starts."""
+    """Positions, velocities and accelerations of a path that is slow within a distance of START."""
     here = [START]
     start = PacedPath(
         path, slow=lambda: bool(np.linalg.norm(here[-1] - START) < way), slow_speed=SLOW,
         speed=FAST, acceleration=ACCELERATION,
     )  # fmt: skip
-    velocity = []
+    velocity, acceleration = [], []
     for k in range(2000):
         reference = start.window(PERIOD * k, 0.1, PERIOD)
         assert reference.time[0] == pytest.approx(PERIOD * (k + np.arange(11)))
         here.append(reference.position[0, 0])
         velocity.append(reference.velocity[0, 0])
-    return np.array(here[1:]), np.array(velocity)
+        acceleration.append(reference.acceleration[0, 0])
+    return np.array(here[1:]), np.array(velocity), np.array(acceleration)
 
 
 def test_the_first_way_is_gone_slowly_and_the_rest_as_fast_as_before():
     goal = START + np.array([0.0, 0.0, 1.5])
     path = line(START, goal, speed_max=FAST, acceleration_max=ACCELERATION)
-    position, velocity = followed(path, 0.1)
+    position, velocity, acceleration = followed(path, 0.1)
     speed = np.linalg.norm(velocity, axis=1)
     near = np.linalg.norm(position - START, axis=1) < 0.1
     assert speed[near].max() < SLOW * 1.01
@@ -39,17 +40,20 @@ def test_the_first_way_is_gone_slowly_and_the_rest_as_fast_as_before():
     moved = np.diff(position, axis=0) / PERIOD
     assert moved == pytest.approx(velocity[1:], abs=0.02)  # the velocity is that of the positions
     assert np.abs(np.diff(speed)).max() < 1.2 * ACCELERATION * PERIOD
+    changed = np.diff(velocity, axis=0) / PERIOD
+    assert changed == pytest.approx(acceleration[1:], abs=0.02)  # and so is the acceleration
     jerk = np.abs(np.diff(moved, n=2, axis=0)).max() / PERIOD**2
     assert jerk < 10.0 * ACCELERATION**2 / FAST  # no step in the acceleration of the positions
 
 
-def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end():
+@pytest.mark.parametrize("speed", [SLOW, FAST])
+def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end(speed):
     goal = START + np.array([0.0, 0.0, 0.05])
     there_and_back = Course(
-        [line(START, goal, speed_max=FAST, acceleration_max=0.5),
-         line(goal, START, speed_max=FAST, acceleration_max=0.5)] * 5, rest=0.1,
+        [line(START, goal, speed_max=speed, acceleration_max=0.5),
+         line(goal, START, speed_max=speed, acceleration_max=0.5)] * 5, rest=0.1,
     )  # fmt: skip
-    paced = PacedPath(there_and_back, slow=lambda: True, slow_speed=SLOW, speed=FAST)
+    paced = PacedPath(there_and_back, slow=lambda: True, slow_speed=SLOW, speed=speed)
     time, last = 0.0, None
     while paced.past_end < 1.0:
         last = paced.window(time, 0.0, PERIOD).position[0, 0]
@@ -61,7 +65,7 @@ def test_a_path_that_stays_within_the_slow_way_is_gone_to_its_end():
 def test_a_hand_target_starts_slowly_too():
     hand = HandTarget(simple_robot(), START, speed_max=FAST, acceleration_max=ACCELERATION)
     hand.go_to(START + np.array([0.0, 1.0, 1.0]))
-    position, velocity = followed(hand, 0.1)
+    position, velocity, _ = followed(hand, 0.1)
     near = np.linalg.norm(position - START, axis=1) < 0.1
     speed = np.linalg.norm(velocity, axis=1)
     assert speed[near].max() < SLOW * 1.01

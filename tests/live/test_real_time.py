@@ -120,6 +120,17 @@ def test_what_cannot_be_had_is_named(isolated, capsys, monkeypatch):
         assert f"test: warning: no {what}: [Errno 1] Operation not permitted" in words
 
 
+def test_priority_is_given_back(capsys, monkeypatch):
+    """The policy of this thread, which may be that of a notebook, is what it was."""
+    policies = [(os.SCHED_BATCH, os.sched_param(0))]
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: policies[-1][0])
+    monkeypatch.setattr(os, "sched_getparam", lambda _: policies[-1][1])
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _, *policy: policies.append(policy))
+    with RealTime("test", lambda: False):
+        assert policies[-1][0] == os.SCHED_FIFO
+    assert policies[-1] is not policies[0] and policies[-1] == policies[0]
+
+
 def test_a_collection_of_garbage_spares_what_was_there_before():
     old = [[] for _ in range(1000)]
     with short_pauses():

@@ -20,6 +20,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.recordings.crash_safe import read_run
 from carosac_toolkit.safety.guard import IllegalTransition, NotReady
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
@@ -147,6 +148,24 @@ def test_an_enabled_run_moves_the_robot_within_all_limits_and_ends_at_rest(plc):
     assert after["commands"] > before["commands"] + 50
     assert [after[name] - before[name] for name in OVER] == [0] * len(OVER)
     assert at_rest(plc)
+
+
+def test_a_run_whose_cycles_stall_reaches_its_goal(plc, tmp_path):
+    """It ends by cycles: by the clock, which goes on, it would be cut off on its way."""
+    home = [f"{x:g}" for x in plc.robot.home_position]
+    goal = plc.robot.home_position + np.array([0.0, 0.0, 0.03])
+    words = ["run", "--driver", "ads", "--robot", str(plc.file), "--enable", "--home", *home]
+    words += ["--to", *(f"{x:g}" for x in goal), "--speed", "0.05", "--rate", "50"]
+    words += ["--controller", "tests.live_controllers:Stalling"]
+    words += ["--recording", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
+    place = f"inner.start_position=[{','.join(home)}]"
+    for setting in (place, "inner.lost_after=0.5", "stale_time=0.5", "overrun_share=1.0",
+                    "hang_time=2.0"):  # fmt: skip
+        words += ["--set", f"driver.{setting}"]
+    assert main(words) == 0
+    run = read_run(tmp_path / "run.jsonl")
+    lengths = statics.inverse_kinematics(plc.robot, goal[None]).unstrained_length[0]
+    assert run.asked.value[-1] == pytest.approx(lengths, abs=1e-4)
 
 
 def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):

@@ -277,7 +277,8 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
     driver = host()
     driver.enable()
     program.deaf = True
-    driver.disable()
+    with pytest.raises(CarosacError, match="the PLC does not disable: no answer"):
+        driver.disable()
     until(lambda: program.machine.fault is Fault.HEARTBEAT_LOST)
     until(lambda: program.machine.output(program.machine._inputs)["owner"] == 0)
     assert program.from_host.unpack(program.memory)["request"] == blocks.Request.DISABLE
@@ -288,12 +289,28 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
     assert driver.state is DriveState.ENABLED
 
 
+def test_a_run_whose_plc_does_not_answer_at_its_end_has_a_fault(program):
+    """It would pass for a success while the PLC latches `heartbeat_lost`."""
+    settings = GuardedAdsSettings(
+        motion=True, home_anew=True, home_confirmed=True, period=0.02, overrun_share=1.0,
+        inner={"lost_after": 0.3},
+    )  # fmt: skip
+    guard = GuardedAds.build(ROBOT, settings)
+    guard.connect()
+    program.deaf = True
+    guard.stop("end of the trajectory")
+    assert guard.state is DriveState.FAULT
+    guard.close()
+    assert guard.fault.fault is program.machine.fault is Fault.HEARTBEAT_LOST
+
+
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
     driver = host()
     driver.enable()
     monkeypatch.setattr(reader, "ANSWER_TIMEOUT_S", 0.02)
     program.deaf = True
-    driver.disable()
+    with pytest.raises(CarosacError, match="no answer"):
+        driver.disable()
     program.deaf = False
     until(lambda: program.machine.state is DriveState.CONNECTED)
     assert program.machine.fault is Fault.NONE

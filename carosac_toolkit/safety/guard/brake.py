@@ -75,7 +75,7 @@ class Brake:
             inner.hold_fault(report.fault)
             self._monitor.held = Finding(fault=report.fault, text=report.text)
         elif isinstance(inner, SupportsDisable):
-            inner.disable()
+            self._monitor.call(inner.disable)  # who cannot be reached may latch a fault
 
     def to_rest(self) -> None:
         """Pass all cycles of a stop, blind where the driver fails, up to `STOP_TIME_MAX_S`."""

@@ -53,7 +53,7 @@ class Homing:
         else:
             monitor.offset = monitor.offset + change
         monitor.restart_checks()
-        monitor.checks.first_way = far
+        monitor.checks.first_way |= far
         monitor.lifecycle.go(DriveState.HOMED)
         self.change = change
         changes = ", ".join(f"{x:+.4f}" for x in change)
