@@ -8,13 +8,8 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-<<<<<<< HEAD
 from carosac_toolkit.base.errors import MALFORMED, InvalidFile
-from carosac_toolkit.base.file_limits import open_parquet
-=======
-from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.base.file_limits import read_rows
->>>>>>> size-mends
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, Value, column_kinds, in_common_columns
 
@@ -22,9 +17,7 @@ PART_FILE_PATTERN = "part-*.parquet"
 LARGE_PART_ROWS_MIN = 10_000  # rows of a part that is not merged any more
 READ_ATTEMPTS = 5
 _COLUMN_TYPES = ("bool", "int64", "double", "string", "null")  # of Arrow
-_JSON_METADATA = {
-    b"carosac": b"json"
-}  # marks a column of JSON texts: its values are of several types
+_JSON_METADATA = {b"carosac": b"json"}  # marks a column of JSON texts, of values of several types
 
 
 def part_files(folder: Path) -> list[Path]:
@@ -59,11 +52,7 @@ def read_part(path: Path) -> list[Row]:
     import pyarrow as pa
 
     try:
-<<<<<<< HEAD
         return _rows(path)
-=======
-        table = read_rows(path)
->>>>>>> size-mends
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, *MALFORMED) as error:
@@ -74,7 +63,7 @@ def read_part(path: Path) -> list[Row]:
 
 def _rows(path: Path) -> list[Row]:
     """Read the rows of one part; a damaged one raises any of many errors."""
-    table = open_parquet(path).read()
+    table = read_rows(path)
     kinds = {item.name: str(item.type) for item in table.schema}
     if not {"case", "status"} <= set(kinds):
         raise InvalidFile(path, ["this is no part of a study: it lacks the column case or status"])
