@@ -17,7 +17,7 @@ import numpy as np
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
 from carosac_toolkit.drivers.ticks import TickSchedule
-from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.drive_state import DriveState, Fault, state_of
 from carosac_toolkit.loop.protocols import (
     FaultSource,
     FaultTextSource,
@@ -252,7 +252,8 @@ class PlcDriver(
 
         Returns:
             The command as sent. If the PLC is stopped or has a fault, nothing is sent: the
-            lengths are those measured, and `limited` names ``stopped``.
+            lengths are those measured, and `limited` names ``stopped``. While its data do not
+            come, commands go on: a stop of this host must not have a gap when they come again.
 
         Raises:
             CarosacError: Read only, or not enabled.
@@ -265,7 +266,9 @@ class PlcDriver(
             raise CarosacError(f"{self.name}: not enabled; call home() and enable() first")
         values = self._reading().values
         actual = self._hardware.length(values["length"])[None]
-        if self._stopped or self.state not in _DRIVES_ON:
+        silent = self.link_silent
+        state = state_of(values["state"]) if silent else self.state
+        if self._stopped or state not in _DRIVES_ON:
             hits = tuple(
                 LimitHit(limit="stopped", cable=i, asked=float(asked), sent=float(held))
                 for i, (asked, held) in enumerate(
@@ -276,7 +279,7 @@ class PlcDriver(
             return Command(
                 time=command.time, unstrained_length=actual, limited=(*command.limited, *hits)
             )
-        sent = self._limiter.apply(command, actual)
+        sent = self._limiter.apply(command, None if silent else actual)
         rate = self._limiter.motion.speed[0] if sent.length_rate is None else sent.length_rate[0]
         hardware = self._hardware
         exchange.send(

@@ -109,6 +109,15 @@ class PlcReader:
         return Fault.STALE_DATA if self._imu_lost else Fault.NONE
 
     @property
+    def link_silent(self) -> bool:
+        """True if the data of the PLC do not come or do not advance, and it was not restarted."""
+        exchange = self.exchange
+        if exchange is None or exchange.reading is None:
+            return False
+        since = max(exchange.age, time.monotonic() - exchange.reading.advanced)
+        return since > self.lost_after and exchange.counters.restarts == self._restarts
+
+    @property
     def _imu_lost(self) -> bool:
         """True if the IMU that the suite asks for is silent."""
         return self._imu is not None and self._imu.silence > self._settings.imu_lost_after

@@ -136,6 +136,22 @@ def test_stop_is_a_ramp_of_all_winches_together(plc, driver):
     assert {hit.limit for hit in held.limited} == {"stopped"}
 
 
+def test_commands_go_on_while_the_plc_is_silent(driver, monkeypatch):
+    """Else a stop would go on a period behind, and turn back at its end."""
+    asked = follow(driver, 0.3)[0][-1]
+    monkeypatch.setattr(type(driver.exchange), "age", property(lambda _: 10.0))
+    assert driver.fault is Fault.LOST_CONNECTION
+    for _ in range(3):
+        before = driver._limiter.motion.length
+        asked = asked + 1e-5
+        sent = driver.command(Command(time=np.zeros(1), unstrained_length=asked[None]))
+        assert "stopped" not in {hit.limit for hit in sent.limited}
+        assert (driver._limiter.motion.length != before).all()
+    driver.stop("test")
+    sent = driver.command(Command(time=np.zeros(1), unstrained_length=asked[None]))
+    assert {hit.limit for hit in sent.limited} == {"stopped"}
+
+
 def test_a_drive_trip_is_named_latched_and_reset_on_purpose(plc, driver):
     follow(driver, 0.3)
     with plc.client() as client:
