@@ -25,7 +25,7 @@ REST_DRIFT = 1e-4  # [m] that a set position moves after rest
 STOP_ACCELERATION_SHARE = 0.4  # of the limit; paths here ask for 0.8 of 5 m/s^2
 HIGH_SPEED_SHARE = 0.7  # of the largest speed after the fault; no winch turns back that fast
 RECORDED_TOLERANCE = 1e-6  # [m]
-FIRST_ROWS = 5  # among which the first command is
+FIRST_ROWS = 20  # among which the first command that passed is; a stall may skip some
 TRIPPED = 3  # the brake of the drive stops it
 DRIVES_ON = (1, 2, TRIPPED)  # drive holding, drive moving
 
