@@ -426,6 +426,7 @@ def table_row(name: str, trials: list[Trial]) -> list[str]:
     named = ", ".join(f"{k} {v}" for k, v in Counter(t.named for t in trials).items())
     return [
         name,
+        str(len(trials)),
         f"{np.median(rest):.2f} / {max(rest):.2f}" if rest else "-",
         f"{max(s.reversal for s in stops):.4f}" if stops else "-",
         f"{max(s.spread for s in stops):.1%}" if stops and name not in ALONE else "-",
@@ -436,7 +437,7 @@ def table_row(name: str, trials: list[Trial]) -> list[str]:
 
 
 HEADER = [
-    "fault", "to rest, median / largest [s]", "largest reversal [m/s]",
+    "fault", "trials", "to rest, median / largest [s]", "largest reversal [m/s]",
     "largest distance from the common ramp", "named", "rightly", "trials with a problem",
 ]  # fmt: skip
 
