@@ -178,7 +178,8 @@ def test_a_plc_of_another_robot_after_a_lost_connection_is_not_written_to(emulat
             emulator.symbols.write(name, block.pack(other))
             server.cut = False
             until(lambda: driver.exchange.refusal)
-            assert "mass: the PLC has 80, the robot file 23.655 [kg]" in driver.fault_text
+            message = "mass: the PLC has 80, the robot file 23.655 [kg]"
+            until(lambda: message in driver.fault_text)
             with pytest.raises(CarosacError, match="mass: the PLC has 80"):
                 driver.reset_fault()
             emulator.symbols.write(name, block.pack(machine_values(ROBOT)))
