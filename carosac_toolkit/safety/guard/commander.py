@@ -69,15 +69,15 @@ class Commander:
         return self._monitor.send(sent, self.motion, command)
 
     def _slowed(self, command: Command) -> Command:
-        """Return a command that is gone towards no faster than `GuardSettings.first_speed`."""
+        """Return the command, or the part of its step that `GuardSettings.first_speed` allows."""
         settings, start = self._monitor.settings, self._limiter.motion.length
         step = command.unstrained_length - start
         share = settings.first_speed * settings.period / max(float(np.abs(step).max()), 1e-12)
         if share >= 1.0:
             return command
         length = start + share * step
-        hits = changed("first_way", command, length)
-        return Command(time=command.time, unstrained_length=length, limited=tuple(hits))
+        hits = (*command.limited, *changed("first_way", command, length))
+        return Command(time=command.time, unstrained_length=length, limited=hits)
 
     def brake(self, time: Array, asked: Command | None, why: str) -> Command:
         """Send the next command of the stop along the path, unless this period has its command.
