@@ -34,6 +34,7 @@ from carosac_toolkit.base.errors import CarosacError
 from tests.fuzz.mutators import EXTREMES, mutated
 
 FILES, MESSAGES, COMMANDS = 100_000, 20_000, 5_000
+SEED = 3
 MEMORY_MAX_BYTES = 2**30  # at the peak of a case, beyond what the process has when it begins
 MEMORY_LIMIT_BYTES = 2**32  # at which the system refuses more; readers must not get there
 DURATION_MAX_S = 5.0  # of one case
@@ -59,16 +60,17 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--files", type=int, default=FILES)
     parser.add_argument("--only", default="", help="kinds whose name has this in it")
+    parser.add_argument("--seed", type=int, default=SEED, help="of the damage; another tests more")
     asked = parser.parse_args()
     share = asked.files / FILES
     began = time.monotonic()
     counts: dict[str, Counter[str]] = {}
     for name, total in _kinds(asked.files, int(MESSAGES * share), int(COMMANDS * share)).items():
         if asked.only in name:
-            counts[name] = _campaign(name, total)
+            counts[name] = _campaign(name, total, asked.seed)
             print(name, total, dict(counts[name]), flush=True)
     if not asked.only and share >= 0.5:
-        _write(counts, time.monotonic() - began, asked.files)
+        _write(counts, time.monotonic() - began, asked)
 
 
 def _kinds(files: int, messages: int, commands: int) -> dict[str, int]:
@@ -81,14 +83,14 @@ def _kinds(files: int, messages: int, commands: int) -> dict[str, int]:
     return kinds | {name: messages // len(wires) for name in wires} | {"command lines": commands}
 
 
-def _campaign(name: str, total: int) -> Counter[str]:
+def _campaign(name: str, total: int, seed: int) -> Counter[str]:
     """Run all cases of a kind; begin a new process behind a case that ends one."""
     counts: Counter[str] = Counter()
     context = multiprocessing.get_context("spawn")
     case = 0
     while case < total:
         here, there = context.Pipe()
-        worker = context.Process(target=_work, args=(name, case, total, there), daemon=False)
+        worker = context.Process(target=_work, args=(name, case, total, seed, there), daemon=False)
         worker.start()
         there.close()
         if not here.poll(START_TIMEOUT_S) or here.recv() != READY:
@@ -111,7 +113,7 @@ def _campaign(name: str, total: int) -> Counter[str]:
     return counts
 
 
-def _work(name: str, first: int, total: int, pipe: Connection) -> None:
+def _work(name: str, first: int, total: int, seed: int, pipe: Connection) -> None:
     """Run the cases of a kind from one on, and tell the outcome of each."""
     take, source = _taker(name)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
@@ -122,7 +124,7 @@ def _work(name: str, first: int, total: int, pipe: Connection) -> None:
     warnings.simplefilter("ignore")
     pipe.send(READY)
     for case in range(first, total):
-        made = source(case, np.random.default_rng([zlib.crc32(name.encode()), 1, case]))
+        made = source(case, np.random.default_rng([zlib.crc32(name.encode()), seed, case]))
         pipe.send((case, *_outcome(take, made)))
 
 
@@ -230,7 +232,7 @@ def _command_line(words: list[str]) -> None:
         raise CarosacError("refused")
 
 
-def _write(counts: dict[str, Counter[str]], duration: float, files: int) -> None:
+def _write(counts: dict[str, Counter[str]], duration: float, asked: argparse.Namespace) -> None:
     """Write the counts into RESULTS.md."""
     rows = [
         [name, *(str(value[key]) if key else str(sum(value.values())) for key in ("", *OUTCOMES))]
@@ -247,7 +249,8 @@ def _write(counts: dict[str, Counter[str]], duration: float, files: int) -> None
         f"{duration / 60:.0f} minutes in one process.\n\n"
         + table(["input", "cases", *OUTCOMES], rows)
     )
-    write_section("fuzz", "Damaged inputs", f"python -m benchmarks.fuzz --files {files}", body)
+    command = f"python -m benchmarks.fuzz --files {asked.files} --seed {asked.seed}"
+    write_section("fuzz", "Damaged inputs", command, body)
 
 
 if __name__ == "__main__":
