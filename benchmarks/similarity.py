@@ -1,0 +1,182 @@
+"""Froude similarity: the same robot in other sizes must give the same dimensionless results.
+
+    python -m benchmarks.similarity                       # the whole table
+    python -m benchmarks.similarity --robots carosac --factors 0.1 10 --rows mpc/truth
+
+Robot, path, control period, steps of the simulator, and rates and errors of the sensors are
+scaled; all other settings are the defaults. What then differs is a constant in the code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import carosac_toolkit as ct
+from benchmarks.results import table, write_section
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.scaled import Ratios
+from carosac_toolkit.drivers.sensors import SensorSettings
+from carosac_toolkit.loop import loop, plugins
+from carosac_toolkit.loop.plugin_builder import build_plugin
+from carosac_toolkit.robot.similar import similar_robot, similarity
+from carosac_toolkit.studies.run.run_case import FINAL_REST_S, Truth
+from carosac_toolkit.studies.run.scores import score
+from sim_warp.driver import TIME_STEP_S
+
+FACTORS = (0.1, 0.3, 3.0, 10.0)
+BAR = 0.02
+SPEED, ACCELERATION = 2.0, 3.0  # of the path at factor 1
+PERIOD_S = 0.02
+PATHS = {"carosac": 0, "scampi": 0, "cogiro": 0}  # seeds whose path is without slack cables
+ROWS = (
+    "straight_line/truth", "kinematic_solver/truth", "input_shaping/truth", "mpc/truth",
+    "kinematic_solver/kinematic_solver", "kinematic_solver/ks_ekf",
+    "kinematic_solver/dynamic_estimator", "mpc/dynamic_estimator",
+)  # fmt: skip
+SENSOR_UNITS = {
+    "encoder_rate": "Hz", "encoder_noise": "m", "encoder_resolution": "m", "encoder_bias": "m",
+    "encoder_delay": "s", "pose_rate": "Hz", "position_noise": "m", "pose_delay": "s",
+    "imu_rate": "Hz", "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
+    "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2", "imu_delay": "s",
+    "tension_rate": "Hz", "tension_noise": "N", "tension_bias": "N", "tension_delay": "s",
+}  # fmt: skip
+# What estimators are told of the sensors, by name; other settings are theirs to derive.
+TOLD_OF_SENSORS: Mapping[str, Sequence[str]] = {
+    "dynamic_estimator": ("angular_rate_noise", "angular_rate_bias", "position_noise"),
+    "ks_ekf": ("angular_rate_noise", "angular_rate_bias"),
+}
+SCALES_WITH_LENGTH = ("tracking_rmse_norm_m", "residual_sway_m", "estimation_rmse_norm_m")
+SCORES = (*SCALES_WITH_LENGTH, "nees", "tension_min_N", "limited")
+
+
+@dataclass(frozen=True)
+class World:
+    """A robot in a size, with its path."""
+
+    robot: ct.Robot
+    ratios: Ratios
+    path: trajectories.Trajectory
+
+
+def world_of(name: str, factor: float) -> World:
+    """Return a bundled robot in another size and the same path there."""
+    robot, ratios = similar_robot(ct.load_robot(name), factor), similarity(factor)
+    path = trajectories.build(
+        "waypoints", robot, PATHS[name], speed_max=SPEED * ratios.of_unit("m/s"),
+        acceleration_max=ACCELERATION,
+    )  # fmt: skip
+    return World(robot, ratios, path)
+
+
+def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Run a controller on an estimator, ``controller/estimator``; return its scores.
+
+    Args:
+        world: Robot and path.
+        row: Names.
+        asked: Settings beside the defaults: of the ``controller``, ``estimator`` or ``driver``.
+    """
+    controller_name, estimator_name = row.split("/")
+    robot, ratios = world.robot, world.ratios
+    period = PERIOD_S * ratios.time
+    sensors = SensorSettings(
+        **{
+            name: getattr(SensorSettings(), name) * ratios.of_unit(unit)
+            for name, unit in SENSOR_UNITS.items()
+        }
+    )
+    driver = build_plugin(
+        plugins.load("drivers", "simulator"), robot, where="driver", seed=1,
+        asked={
+            "suite": "lengths+imu", "sensors": sensors, "period": period,
+            "start_position": tuple(world.path.sample(np.zeros(1)).position[0]),
+            "time_step": TIME_STEP_S * ratios.time,
+            **asked.get("driver", {}),
+        },
+    )  # fmt: skip
+    controller = build_plugin(
+        plugins.load("controllers", controller_name), robot, where="controller",
+        asked=asked.get("controller", {}), offered={"period": period},
+    )  # fmt: skip
+    estimator = Truth(driver)
+    if estimator_name != "truth":
+        told = {name: getattr(sensors, name) for name in TOLD_OF_SENSORS.get(estimator_name, ())}
+        estimator = build_plugin(
+            plugins.load("estimators", estimator_name), robot, where="estimator",
+            asked={**told, **asked.get("estimator", {})},
+        )  # fmt: skip
+    duration = world.path.duration + FINAL_REST_S * ratios.time
+    log = loop.run(driver, estimator, controller, world.path, duration=duration)
+    scores = score(log, robot, world.path.duration)
+    scores["limited_by"] = sorted({hit.limit for _, hit in log.limited})
+    return scores
+
+
+def dimensionless(scores: Mapping[str, Any], world: World) -> dict[str, float | None]:
+    """Return scores in lengths of factor 1, and tensions in shares of the weight per cable."""
+    found = {name: scores[name] for name in SCORES}
+    for name in SCALES_WITH_LENGTH:
+        if found[name] is not None:
+            found[name] /= world.ratios.length
+    found["tension_min_N"] *= world.robot.n / world.robot.weight
+    return found
+
+
+def main() -> None:
+    """Run the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--robots", nargs="+", default=list(PATHS))
+    parser.add_argument("--factors", nargs="+", type=float, default=list(FACTORS))
+    parser.add_argument("--rows", nargs="+", default=list(ROWS))
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    lines, kept = [], []
+    for name in asked.robots:
+        for row in asked.rows:
+            first: dict[str, Any] = {}
+            for factor in (1.0, *asked.factors):
+                began = time.perf_counter()
+                world = world_of(name, factor)
+                scores = run(world, row)
+                found = dimensionless(scores, world)
+                first = first or found
+                kept.append({"robot": name, "row": row, "factor": factor, **found})
+                lines.append([name, row, f"{factor:g}", *_shown(found, first, factor)])
+                took = time.perf_counter() - began
+                print(*lines[-1], scores["limited_by"], f"{took:.1f} s", sep=" | ", flush=True)
+    if asked.json:
+        asked.json.write_text(json.dumps(kept))
+    body = table(["robot", "controller/estimator", "factor", *SCORES], lines)
+    if set(asked.robots) >= set(PATHS) and set(asked.rows) >= set(ROWS):
+        write_section("similarity", "Similarity", "python -m benchmarks.similarity", body)
+
+
+def _shown(found: Mapping[str, Any], first: Mapping[str, Any], factor: float) -> list[str]:
+    """Return values at factor 1, and ratios to them at others; least tensions as differences."""
+    cells = []
+    for name in SCORES:
+        value, before = found[name], first[name]
+        if value is None:
+            cells.append("-")
+        elif name == "limited":
+            cells.append(str(value))
+        elif before == 0.0:
+            cells.append(f"{value:.3g}")
+        elif name == "tension_min_N":
+            cells.append(f"{value:.3f}" if factor == 1.0 else f"{value - before:+.3f}")
+        else:
+            unit = 1e3 if name.endswith("_m") else 1.0
+            cells.append(f"{unit * value:.3g}" if factor == 1.0 else f"{value / before:.3f}")
+    return cells
+
+
+if __name__ == "__main__":
+    main()

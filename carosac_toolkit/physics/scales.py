@@ -1,0 +1,72 @@
+"""Sizes of a robot from which everything is derived that depends on its size.
+
+Settings in metres, seconds or newtons that are not stated by the user, by the robot file or as a
+property of a sensor come from here, so that a robot on a desk and one over a stadium are treated
+alike: scaled by Froude's law, all dimensionless results stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from carosac_toolkit.base.scaled import Ratios
+from carosac_toolkit.robot.robot import Robot
+
+# Of the robot `carosac`, on which defaults are stated (`carosac_toolkit.base.scaled.Scaled`).
+CAROSAC_CABLE_M = 9.141812876044355
+CAROSAC_MASS_KG = 23.655
+CAROSAC_GRAVITY_M_PER_S2 = 9.81
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of a robot.
+
+    Attributes:
+        robot: Its description, n cables.
+    """
+
+    robot: Robot
+
+    @cached_property
+    def length(self) -> float:
+        """Mean distance from exit to anchor points at home [m]: that of a cable."""
+        robot = self.robot
+        anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
+        return float(np.linalg.norm(robot.exit_points - anchors, axis=1).mean())
+
+    @property
+    def time(self) -> float:
+        """Time in which a body falls by half of `length` [s]; a sway takes 2 pi of it and less."""
+        return float(np.sqrt(self.length / self.robot.gravity))
+
+    @property
+    def tension(self) -> float:
+        """Weight of the platform per cable [N]."""
+        return self.robot.weight / self.robot.n
+
+    @property
+    def gyration(self) -> float:
+        """Radius of gyration of the platform about its centre of mass [m]."""
+        return float(np.sqrt(np.trace(self.robot.inertia) / (2.0 * self.robot.mass)))
+
+    @property
+    def workspace(self) -> float:
+        """Geometric mean of the sides of the workspace box [m]."""
+        return float(np.prod(self.robot.workspace_max - self.robot.workspace_min) ** (1.0 / 3.0))
+
+    @cached_property
+    def ratios(self) -> Ratios:
+        """Mass, length and time over those of ``carosac``, by which `Scaled` numbers grow."""
+        length = self.length / CAROSAC_CABLE_M
+        gravity = self.robot.gravity / CAROSAC_GRAVITY_M_PER_S2
+        mass = self.robot.mass / CAROSAC_MASS_KG
+        return Ratios(mass, length, float(np.sqrt(length / gravity)))
+
+    def reach(self, delay: float) -> float:
+        """Return how far a winch winds at full speed within its lag and a delay [s]: [m]."""
+        robot = self.robot
+        return float((robot.speed_max * (robot.winch_lag + delay)).max())
