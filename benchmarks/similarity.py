@@ -35,7 +35,9 @@ FACTORS = (0.1, 0.3, 3.0, 10.0)
 BAR = 0.02
 SPEED, ACCELERATION = 2.0, 3.0  # of the path at factor 1
 PERIOD_S = 0.02
-PATHS = {"carosac": 0, "scampi": 0, "cogiro": 0}  # seeds whose path is without slack cables
+PATHS = {  # without slack cables or limited commands at factor 1
+    "carosac": ("minimum_snap", 1), "scampi": ("minimum_snap", 0), "cogiro": ("minimum_snap", 0),
+}  # fmt: skip
 ROWS = (
     "straight_line/truth", "kinematic_solver/truth", "input_shaping/truth", "mpc/truth",
     "kinematic_solver/kinematic_solver", "kinematic_solver/ks_ekf",
@@ -69,8 +71,9 @@ class World:
 def world_of(name: str, factor: float) -> World:
     """Return a bundled robot in another size and the same path there."""
     robot, ratios = similar_robot(ct.load_robot(name), factor), similarity(factor)
+    kind, seed = PATHS[name]
     path = trajectories.build(
-        "waypoints", robot, PATHS[name], speed_max=SPEED * ratios.of_unit("m/s"),
+        kind, robot, seed, speed_max=SPEED * ratios.of_unit("m/s"),
         acceleration_max=ACCELERATION,
     )  # fmt: skip
     return World(robot, ratios, path)
