@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import numpy as np
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.file_limits import csv_cells, doubles
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.table import shortened
 
@@ -64,7 +64,7 @@ def load_motor_angles(path: str | Path) -> MotorAngles:
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"this is no text file: {error}"]) from error
     lines = [
-        (number, [cell.strip() for cell in next(csv.reader([line]))])
+        (number, csv_cells(path, number, line))
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.startswith("#")
     ]
@@ -132,7 +132,7 @@ class _AngleReader:
         if not self._motors:
             self.faults.append("no motor angles; allowed: columns such as motor_a_deg")
         names = [column.name for column in self._motors]
-        for name in sorted({n for n in names if names.count(n) > 1}):
+        for name in doubles(names):
             self.faults.append(f"motor {name}: two columns; allowed: one per motor")
         for what, place in (("known", self._known), ("known_sigma", self._sigma)):
             gone = [axis for axis in "xyz" if axis not in place]

@@ -8,7 +8,6 @@ gon, deg, rad or mil and L is m, mm or ft. Optional: ``prism_constant_mm``, ``si
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 
 import numpy as np
@@ -22,6 +21,7 @@ from calibration.tachymeter.records import (
     shortened_faults,
 )
 from carosac_toolkit.base.errors import InvalidFile, did_you_mean
+from carosac_toolkit.base.file_limits import csv_cells, doubles
 
 ANGLE_UNITS_RAD = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
 LENGTH_UNITS_M = {"m": 1.0, "mm": MILLIMETRE_M, "ft": 0.3048}
@@ -47,14 +47,14 @@ def read_csv(path: str) -> list[Record]:
     rows = [(n, text) for n, text in lines if text.strip() and not text.lstrip().startswith("#")]
     if not rows:
         raise InvalidFile(path, ["nothing but comments; a header line is needed"])
-    header = [name.strip().lower() for name in next(csv.reader([rows[0][1]]))]
+    header = [name.lower() for name in csv_cells(path, *rows[0])]
     faults = _header_faults(header)
     if faults:
         raise InvalidFile(path, [f"line {rows[0][0]}: {fault}" for fault in faults])
     read = _polar_row if any(name.startswith("slope_") for name in header) else _space_row
     records: list[Record] = []
     for number, text in rows[1:]:
-        cells = [cell.strip() for cell in next(csv.reader([text]))]
+        cells = csv_cells(path, number, text)
         try:
             records.append(_record(path, number, header, cells, read))
         except ValueError as error:
@@ -80,7 +80,7 @@ def _header_faults(header: list[str]) -> list[str]:
             for name in header
             if name not in known
         ),
-        *(f"column '{name}' twice" for name in sorted({n for n in header if header.count(n) > 1})),
+        *(f"column '{name}' twice" for name in doubles(header)),
         *(f"no column '{name}'" for name in ("setup", "target") if name not in header),
     ]
     if faults:

@@ -6,6 +6,7 @@ Limits on robot files are in `carosac_toolkit.base.yaml`, on MATLAB files in
 
 from __future__ import annotations
 
+import csv
 import os
 from collections import Counter
 from collections.abc import Iterable
@@ -73,6 +74,22 @@ def check_text_size(path: str | Path, size: int) -> None:
         got, allowed = size / 1e6, TEXT_BYTES_MAX / 1e6
         fault = f"has {got:.4g} MB of text; allowed: up to {allowed:.4g} MB: {_WAY_OUT}"
         raise InvalidFile(path, [fault])
+
+
+def csv_cells(path: str | Path, number: int, line: str) -> list[str]:
+    """Split a line of a small table of text; without spaces about its cells.
+
+    Raises:
+        InvalidFile: A cell is too long, or there are too many.
+    """
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise InvalidFile(path, [f"line {number}: no CSV: {error}"]) from error
+    if len(cells) > COLUMNS_MAX:
+        fault = f"line {number}: {len(cells)} cells; allowed: up to {COLUMNS_MAX}"
+        raise InvalidFile(path, [fault])
+    return cells
 
 
 def doubles(names: Iterable[str]) -> list[str]:
