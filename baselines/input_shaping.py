@@ -37,8 +37,10 @@ from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive
+from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 ShapingDirections = Literal["modal", "all"]
@@ -53,19 +55,21 @@ class InputShapingSettings(LookaheadSettings):
 
     Attributes:
         shaper: ``zv`` or, wider and slower, ``zvd``.
-        frequency_max: Modes that are slower at home are shaped [Hz]; 0 shapes none.
+        frequency_max: Modes that are slower at home are shaped [Hz]; 0 shapes none. None: those
+            that the winches can follow, slower than 1 / (2 pi lag).
         directions: ``modal``: each shaper acts on motion that excites its mode; ``all``: all
             shapers, one after the other, act on all motion.
         preview: Whether the reference is read ahead by the mean delay of the shapers.
         start_time: In this time after the reset the look ahead grows from 0 to its full size [s]:
-            a motion that begins at once cannot have been prepared.
+            a motion that begins at once cannot have been prepared. The default is that of
+            ``carosac``, and scales with the robot.
     """
 
     shaper: Shaper = "zv"
-    frequency_max: float = 3.0
+    frequency_max: float | None = None
     directions: ShapingDirections = "modal"
     preview: bool = True
-    start_time: float = 1.0
+    start_time: float = Scaled(1.0, "s")
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -78,7 +82,8 @@ class InputShapingSettings(LookaheadSettings):
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if not isinstance(self.preview, bool):
             raise InvalidField("preview", repr(self.preview), "true or false")
-        check_not_negative("frequency_max", self.frequency_max, "Hz")
+        if self.frequency_max is not None:
+            check_not_negative("frequency_max", self.frequency_max, "Hz")
         check_positive("start_time", self.start_time, "s")
 
 
@@ -100,10 +105,11 @@ class InputShaping:
     _start: Array | None
 
     def __init__(self, robot: Robot, settings: InputShapingSettings) -> None:
+        settings = resolved(settings, Scales(robot).ratios)
         delay = delay_of(robot, settings)
         self._robot, self._settings = robot, settings
         self._delay = delay
-        self.modes = _slow_modes(robot, settings.frequency_max)
+        self.modes = _slow_modes(robot, frequency_max_of(robot, settings))
         self.lag = self._largest_delays()
         self.period = settings.period
         lead = delay + (float(self.lag.max(initial=0.0)) if settings.preview else 0.0)
@@ -229,6 +235,14 @@ class InputShaping:
             sway_modes(self._robot, rest_at(self._robot, poses, CONTROLLER_NAME), self.modes)
         )
         return np.array([delay.max() for delay in delays])
+
+
+def frequency_max_of(robot: Robot, settings: InputShapingSettings) -> float:
+    """Return the frequency below which modes are shaped [Hz]; infinite for winches without lag."""
+    if settings.frequency_max is not None:
+        return settings.frequency_max
+    lag = float(robot.winch_lag.mean())
+    return float(1.0 / (2.0 * np.pi * lag)) if lag > 0.0 else np.inf
 
 
 def _slow_modes(robot: Robot, frequency_max: float) -> int:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from baselines.mpc.observer import BELIEF_GATE_M, SLACK_EXCESS_M
+from baselines.mpc.observer import BELIEF_GATE, SLACK_EXCESS
+from carosac_toolkit.base.scaled import Ratios, Scaled
 
-TAUT_TIME_S = 0.3  # with all cables taut, before a new plan begins
-STUCK_TIME_S = 1.0  # of disagreement while the winches rest: then the lengths are wrong
+TAUT_TIME = Scaled(0.3, "s")  # with all cables taut, before a new plan begins
+# Of disagreement while the winches rest: then the lengths are wrong.
+STUCK_TIME = Scaled(1.0, "s")
 
 
 class BeliefGate:
@@ -18,10 +20,11 @@ class BeliefGate:
         usable: Whether to plan from the last belief.
     """
 
-    def __init__(self, period: float) -> None:
-        """Start with the time between two beliefs [s]."""
-        self._taut = max(1, round(TAUT_TIME_S / period))  # beliefs in a row
-        self._stuck = max(1, round(STUCK_TIME_S / period))
+    def __init__(self, period: float, ratios: Ratios) -> None:
+        """Start with the time between two beliefs [s], and the size of the robot."""
+        self._taut = max(1, round(TAUT_TIME.of(ratios) / period))  # beliefs in a row
+        self._stuck = max(1, round(STUCK_TIME.of(ratios) / period))
+        self._gate, self._slack = BELIEF_GATE.of(ratios), SLACK_EXCESS.of(ratios)
         self.reset()
 
     def reset(self) -> None:
@@ -36,7 +39,7 @@ class BeliefGate:
 
     def within(self, resting: bool) -> float:
         """Return the distance up to which a belief is learned from [m]."""
-        return SLACK_EXCESS_M if resting else BELIEF_GATE_M
+        return self._slack if resting else self._gate
 
     def update(self, distance: float, *, resting: bool, still: bool) -> None:
         """Take in one more belief.
@@ -49,4 +52,4 @@ class BeliefGate:
         near = distance <= self.within(True)
         self._near = self._near + 1 if near else 0
         self._far = self._far + 1 if resting and still and not near else 0
-        self.usable = self._near >= self._taut if resting else distance <= BELIEF_GATE_M
+        self.usable = self._near >= self._taut if resting else distance <= self._gate

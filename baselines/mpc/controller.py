@@ -10,7 +10,7 @@ import numpy as np
 from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
-from baselines.mpc.observer import BELIEF_GATE_M, Observer, PlanStart
+from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
@@ -20,12 +20,15 @@ from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 SOFTENED_RATIO = 0.01  # of a limit, by which a plan must exceed it to count as softened
 SHIFTED_STEPS_MAX = 5  # for which the last plan goes on after a failure: longer, it runs away
-EXCESS_TIME_S = 0.3  # in which sag and stretch of a plan reach the command: shorter shakes cables
+# In which sag and stretch of a plan reach the command: shorter shakes cables.
+EXCESS_TIME = Scaled(0.3, "s")
 
 
 class NoStart(CarosacError):
@@ -49,14 +52,18 @@ class Mpc:
     Settings: ClassVar = MpcSettings
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        scales = Scales(robot)
+        settings = resolved(settings, scales.ratios)
+        jerk_max = settings.jerk_max or scales.jerk(settings.period)
         self._robot, self._settings = robot, settings
+        self._excess_time = EXCESS_TIME.of(scales.ratios)
         self.period = settings.period
         self._planner = Planner(robot, settings)
         self._observer = Observer(robot, settings)
-        self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
+        self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._targets = TargetReader(robot, self._planner.grid)
         self._rest = RestFallback(robot)
-        self._agreement = BeliefGate(settings.period)
+        self._agreement = BeliefGate(settings.period, scales.ratios)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
@@ -112,7 +119,7 @@ class Mpc:
             within=self._agreement.within(self._resting), stuck=self._agreement.stuck,
         )  # fmt: skip
         self._agreement.update(start.distance, resting=self._resting, still=self._winches.at_rest)
-        if start.distance <= BELIEF_GATE_M:
+        if start.distance <= self._observer.gate:
             self._place = start.position
         plan = self._solve(start, reference, now)
         if plan is None:
@@ -222,7 +229,7 @@ class Mpc:
 
     def _share(self) -> float:
         """Return the share of a new sag that counts at once."""
-        return float(1.0 - np.exp(-self.period / EXCESS_TIME_S))
+        return float(1.0 - np.exp(-self.period / self._excess_time))
 
 
 def _check_one(belief: Belief) -> None:

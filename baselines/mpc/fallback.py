@@ -5,20 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-REST_APPROACH_RATE_PER_S = 2.0  # at which the lengths approach those of rest
+REST_APPROACH_RATE = Scaled(2.0, "Hz")  # at which the lengths approach those of rest
 ACCELERATION_SHARE_MAX = 0.5  # of the winches' acceleration that is used
 SPEED_SHARE_MAX = 0.2  # of their speed
-REST_DISTANCE_MAX_M = 3.0  # lengths of rest that are farther away are not near
+REST_DISTANCE_MAX = Scaled(3.0, "m")  # lengths of rest that are farther away are not near
 
 
 class RestFallback:
     """Leads the lengths to those of the catenary equilibrium at the position first believed."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        self._robot, ratios = robot, Scales(robot).ratios
+        self._rate, self._far = REST_APPROACH_RATE.of(ratios), REST_DISTANCE_MAX.of(ratios)
         self.reset()
 
     def reset(self) -> None:
@@ -47,11 +50,11 @@ class RestFallback:
             self._goal = self._rest_near(position, length, offset)
         most = ACCELERATION_SHARE_MAX * self._robot.acceleration_max
         if self._goal is None:
-            wanted = -REST_APPROACH_RATE_PER_S * REST_APPROACH_RATE_PER_S * rate
+            wanted = -self._rate * self._rate * rate
         else:
             fastest = SPEED_SHARE_MAX * self._robot.speed_max
-            slow = np.clip(REST_APPROACH_RATE_PER_S * (self._goal - length), -fastest, fastest)
-            wanted = 2.0 * REST_APPROACH_RATE_PER_S * (slow - rate)
+            slow = np.clip(self._rate * (self._goal - length), -fastest, fastest)
+            wanted = 2.0 * self._rate * (slow - rate)
         return np.clip(wanted, -most, most), self._goal is not None
 
     def _rest_near(self, position: Array, length: Array, offset: Array) -> Array | None:
@@ -62,4 +65,4 @@ class RestFallback:
         if not (rest.converged[0] and rest.in_winch_range[0].all()):
             return None
         goal = rest.unstrained_length[0] + offset
-        return goal if np.abs(goal - length).max() < REST_DISTANCE_MAX_M else None
+        return goal if np.abs(goal - length).max() < self._far else None

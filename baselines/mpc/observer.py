@@ -20,17 +20,21 @@ from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.unknown_load import PlannedMotion, UnknownLoad
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.structure import constrained_motion
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 NEWTON_STEPS_MAX = 5
-LENGTH_TOLERANCE_M = 1e-6  # of Newton's method
-SLACK_EXCESS_M = 0.05  # a cable that is longer than believed by more is slack
-BELIEF_GATE_M = 0.2  # from lengths sent to believed ones: beyond it, cables must be slack
-OFFSET_TIME_S = 0.5  # time constant of offsets: short against a path, long against encoder noise
-OFFSET_MAX_M = 0.1  # what exceeds it is slack, and reeled in
+LENGTH_TOLERANCE = Scaled(1e-6, "m")  # of Newton's method
+SLACK_EXCESS = Scaled(0.05, "m")  # a cable that is longer than believed by more is slack
+# From lengths sent to believed ones: beyond it, cables must be slack.
+BELIEF_GATE = Scaled(0.2, "m")
+# Time constant of offsets: short against a path, long against encoder noise.
+OFFSET_TIME = Scaled(0.5, "s")
+OFFSET_MAX = Scaled(0.1, "m")  # what exceeds it is slack, and reeled in
 TWIST_GAIN = 0.2  # share of a position difference that becomes velocity, for beliefs without twist
 
 
@@ -60,11 +64,15 @@ class Observer:
         offset: Of the lengths: sent minus modelled [m], shape (n,).
         slack: What lengths differ by so suddenly that it is no offset [m], shape (n,).
         load: Centre of mass and acceleration that the model does not know.
+        gate: Distance of lengths sent to believed ones beyond which cables are slack [m].
         rebased: How often a belief that disagreed was taken over, since the reset.
     """
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
-        self._robot, self._settings = robot, settings
+        self._robot, self._settings, ratios = robot, settings, Scales(robot).ratios
+        self._tolerance, self._offset_max = LENGTH_TOLERANCE.of(ratios), OFFSET_MAX.of(ratios)
+        self._slack_excess, self.gate = SLACK_EXCESS.of(ratios), BELIEF_GATE.of(ratios)
+        self._offset_share = settings.period / OFFSET_TIME.of(ratios)
         self.load = UnknownLoad(
             robot, period=settings.period, center_of_mass=settings.center_of_mass,
             disturbance_time=settings.disturbance_time,
@@ -74,7 +82,7 @@ class Observer:
         """Forget everything."""
         self.offset, self.slack = np.zeros((2, self._robot.n))
         self.rebased = 0
-        self._most = np.full(self._robot.n, OFFSET_MAX_M)
+        self._most = np.full(self._robot.n, self._offset_max)
         self.forget()
 
     @property
@@ -118,7 +126,7 @@ class Observer:
         geometry = geometry_at(self._robot, position, rotation)
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)
-        allowed = BELIEF_GATE_M if within is None else within
+        allowed = self.gate if within is None else within
         missing = length - geometry.length  # of the believed pose, before offsets
         distance = float(np.abs(missing - self.kept).max())
         if stuck and distance > allowed:
@@ -175,7 +183,7 @@ class Observer:
         """
         for _ in range(NEWTON_STEPS_MAX):
             step = self._motion(geometry, rotation) @ (length - geometry.length)
-            if np.abs(geometry.jacobian @ step).max() < LENGTH_TOLERANCE_M:
+            if np.abs(geometry.jacobian @ step).max() < self._tolerance:
                 break
             position = position + step[:3]
             rotation = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
@@ -190,10 +198,10 @@ class Observer:
         A slack cable is longer than its chord, and says nothing about where the platform is. Were
         that an offset, it would be sent for ever, and the cable would stay slack.
         """
-        share = self._settings.period / OFFSET_TIME_S
-        self._most = self._most + share * (OFFSET_MAX_M - self._most)
+        share = self._offset_share
+        self._most = self._most + share * (self._offset_max - self._most)
         error = missing - self.offset
-        near = np.clip(error, -SLACK_EXCESS_M, SLACK_EXCESS_M)
+        near = np.clip(error, -self._slack_excess, self._slack_excess)
         self.slack = (1.0 - share) * (error - near)
         self.offset = self.offset + share * near
         self.offset = self.offset + share * (self.kept - self.offset)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.mpc import model
-from baselines.mpc.observer import OFFSET_TIME_S, PlanStart
+from baselines.mpc.observer import OFFSET_TIME, PlanStart
 from baselines.mpc.plan import Plan
 from baselines.mpc.quadratic_program import NO_LIMIT, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
@@ -15,14 +15,17 @@ from baselines.mpc.stage_function import StageFunction
 from baselines.mpc.unknown_load import UnknownLoad
 from baselines.mpc.winch_reference import WinchRange
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 COLD_START_ITERATIONS = 3  # where there is no plan to start from
+STATE_UNITS = ("m", "rad", "m/s", "rad/s")  # of position, attitude, velocity, spin
 RODRIGUES_NORM_MAX = 0.35  # beyond it (80 degrees) R_0 moves along
-STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it has diverged
+STATE_MAX = 1e3  # of scaled states: a plan beyond it has diverged
 REST_TENSION_RATIO_MIN = 0.5  # the plan can always go down to this share of the tension of rest
 TAUT_TENSION_CABLE_WEIGHTS = 4.0  # below it, sag changes a length more than motion does
-LENGTH_EXCESS_SCALE_M = 1.0  # counts like exceeding a speed limit by all of it
+LENGTH_EXCESS_SCALE = Scaled(1.0, "m")  # counts like exceeding a speed limit by all of it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +69,11 @@ class Planner:
             robot: The nominal robot.
             settings: Grid and weights.
         """
-        n, stages = robot.n, settings.stages
+        n, stages, ratios = robot.n, settings.stages, Scales(robot).ratios
+        # States are solved for in units of the robot's size, in which tolerances are alike.
+        self._state_unit = np.repeat([ratios.of_unit(unit) for unit in STATE_UNITS], 3)
+        self._length_scale = LENGTH_EXCESS_SCALE.of(ratios)
+        self._habit_share = settings.period / OFFSET_TIME.of(ratios)
         self._robot, self._settings = robot, settings
         rest = (settings.lookahead - settings.period) / (stages - 1)
         self._duration = np.array([settings.period, *[rest] * (stages - 1)])
@@ -77,7 +84,8 @@ class Planner:
         held = settings.attitude_weight if n >= 6 else 0.0
         weights = settings.position_weight, held, settings.velocity_weight, settings.spin_weight
         scale = np.array([1.0, 4.0, 1.0, 1.0]) ** 2  # small Rodrigues parameters: quarter angles
-        self._weight = np.repeat(np.array(weights) * scale, 3)
+        self._weight = np.repeat(np.array(weights) * scale, 3) * self._state_unit**2
+        self._share = self._duration[:, None] / ratios.time  # of a stage in the cost
         self.reset()
 
     def reset(self) -> None:
@@ -111,9 +119,8 @@ class Planner:
                 return None
             plan, slack = corrected
         if self._robot.n < 6:
-            share = self._settings.period / OFFSET_TIME_S
             now = plan.tension[0] - target.tension[0]
-            self._habit = self._habit + share * (now - self._habit)
+            self._habit = self._habit + self._habit_share * (now - self._habit)
         return plan, slack
 
     def _guess(self, start: PlanStart, target: PlanTarget, time: float) -> Plan:
@@ -160,8 +167,8 @@ class Planner:
     ) -> tuple[Plan, float] | None:
         """Solve for the best change of the plan."""
         stage, settings, n = self.stage, self._settings, self._robot.n
-        error = self._error(plan, target)
-        share = self._duration[:, None]
+        error, unit = self._error(plan, target) / self._state_unit, self._state_unit
+        share = self._share
         cost = np.hstack([
             share * self._weight,
             share * np.full((settings.stages, n), settings.tension_weight),
@@ -170,8 +177,9 @@ class Planner:
         step = self._program.solve(
             hessian=cost, gradient=cost * np.hstack([error[:-1], surplus]),
             end=np.stack([self._weight, self._weight * error[-1]]),
-            dynamics=(stage.by_state, self._unit * stage.by_tension,
-                      stage.after - plan.state[1:]),
+            dynamics=(stage.by_state * (unit / unit[:, None]),
+                      stage.by_tension * (self._unit / unit[:, None]),
+                      (stage.after - plan.state[1:]) / unit),
             bounds=((self._least(target) - plan.tension) / self._unit,
                     (self._robot.tension_max - plan.tension) / self._unit),
             rows=self._rows(acceleration, offset), price=settings.limit_weight,
@@ -180,9 +188,10 @@ class Planner:
         if not step.solved:
             return None
         tension = plan.tension + self._unit * step.tension
-        better = Plan(time=plan.time, state=plan.state + step.state, tension=tension,
+        better = Plan(time=plan.time, state=plan.state + unit * step.state, tension=tension,
                       rotation=plan.rotation)  # fmt: skip
-        sound = np.abs(better.state).max() < STATE_MAX and np.abs(better.state[:, 3:6]).max() < 1.0
+        near = np.abs(better.state / unit).max() < STATE_MAX
+        sound = near and np.abs(better.state[:, 3:6]).max() < 1.0
         return (better, float(step.slack.max())) if sound else None
 
     def _error(self, plan: Plan, target: PlanTarget) -> Array:
@@ -201,7 +210,7 @@ class Planner:
         n, stages = robot.n, self._settings.stages
         speed, most = share * robot.speed_max, share * robot.acceleration_max
         scale = np.concatenate(
-            [np.full(n, LENGTH_EXCESS_SCALE_M), robot.speed_max, robot.acceleration_max]
+            [np.full(n, self._length_scale), robot.speed_max, robot.acceleration_max]
         )
         low = np.tile(np.concatenate([robot.length_min - offset, -speed, -most]), (stages, 1))
         high = np.tile(np.concatenate([robot.length_max - offset, speed, most]), (stages, 1))
@@ -209,5 +218,6 @@ class Planner:
         high[0, 2 * n :] = acceleration.high
         low, high = (low - stage.path) / scale, (high - stage.path) / scale
         low[0, : 2 * n], high[0, : 2 * n] = -NO_LIMIT, NO_LIMIT  # now: nothing can change them
-        matrix = np.concatenate([stage.path_by_state, self._unit * stage.path_by_tension], axis=2)
+        by_state = stage.path_by_state * self._state_unit
+        matrix = np.concatenate([by_state, self._unit * stage.path_by_tension], axis=2)
         return matrix / scale[:, None], low, high

@@ -7,13 +7,16 @@ from typing import Literal, get_args
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
+from carosac_toolkit.base.scaled import Scaled
 
 Compiled = Literal["auto", "always", "never"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class MpcSettings:
-    """Settings of `Mpc`; all weights are per second, those at the end count once.
+    """Settings of `Mpc`; numbers with a unit are those of ``carosac``, and scale with the robot.
+
+    Weights are per second on ``carosac``; those at the end count once.
 
     Attributes:
         period: Time between two commands [s], which is also the first stage.
@@ -30,8 +33,8 @@ class MpcSettings:
             their limits in the plan. Tensions are hard bounds; these are soft, as sway that is
             there already can make them impossible.
         limit_share: Share of speed and acceleration limits that the plan may use.
-        jerk_max: Largest change of the acceleration of a command [m/s^3]; as in the driver's
-            `LimitSettings`.
+        jerk_max: Largest change of the acceleration of a command [m/s^3]; None: that of the
+            driver's default limits.
         disturbance_time: Time constant by which an unknown acceleration is followed, where the
             belief tells the centre of mass; else four times as long [s].
         center_of_mass: By how much the centre of mass may be elsewhere than in the robot file,
@@ -44,18 +47,18 @@ class MpcSettings:
     """
 
     period: float = 0.02
-    lookahead: float = 2.2
+    lookahead: float = Scaled(2.2, "s")
     stages: int = 20
-    position_weight: float = 100.0
-    velocity_weight: float = 10.0
+    position_weight: float = Scaled(100.0, "1/m^2")
+    velocity_weight: float = Scaled(10.0, "s^2/m^2")
     attitude_weight: float = 100.0
-    spin_weight: float = 0.03
+    spin_weight: float = Scaled(0.03, "s^2/rad^2")
     tension_weight: float = 0.3
     limit_weight: float = 100.0
     limit_share: float = 0.95
-    jerk_max: float = 200.0
-    disturbance_time: float = 0.18
-    center_of_mass: float = 0.02
+    jerk_max: float | None = None
+    disturbance_time: float = Scaled(0.18, "s")
+    center_of_mass: float = Scaled(0.02, "m")
     time_budget: float | None = None
     compiled: Compiled = "auto"
 
@@ -64,14 +67,15 @@ class MpcSettings:
         check_whole("stages", self.stages, 2)
         zero = [item.name for item in fields(self) if item.name.endswith("_weight")]
         zero.append("center_of_mass")
-        apart = (*zero, "stages", "compiled", "time_budget")
+        apart = (*zero, "stages", "compiled", "time_budget", "jerk_max")
         positive = [item.name for item in fields(self) if item.name not in apart]
         check_fields(self, positive=positive, not_negative=zero)
-        if self.time_budget is not None:
-            check_positive("time_budget", self.time_budget, "s")
+        for name, unit in (("time_budget", "s"), ("jerk_max", "m/s^3")):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name), unit)
         if self.compiled not in get_args(Compiled):
             raise InvalidField("compiled", repr(self.compiled), f"one of {get_args(Compiled)}")
-        if not self.lookahead > 2.0 * self.period:
+        if not isinstance(self.lookahead, Scaled) and not self.lookahead > 2.0 * self.period:
             raise InvalidField("lookahead", f"{self.lookahead} s", "lookahead > 2 * period")
         if not self.limit_share <= 1.0:
             raise InvalidField("limit_share", repr(self.limit_share), "0 < limit_share <= 1")

@@ -9,12 +9,15 @@ import numpy as np
 from baselines.lookahead import interpolated
 from baselines.mpc.planner import PlanTarget
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-CHASE_DISTANCE_MAX_M = 0.3  # from farther away the reference is not chased, but approached
-APPROACH_SPEED_M_PER_S = 0.7
+# From farther away the reference is not chased, but approached.
+CHASE_DISTANCE_MAX = Scaled(0.3, "m")
+APPROACH_SPEED = Scaled(0.7, "m/s")
 
 
 class TargetReader:
@@ -26,7 +29,8 @@ class TargetReader:
 
     def __init__(self, robot: Robot, grid: Array) -> None:
         """Take the times of a plan from now [s], shape (N + 1,)."""
-        self._robot, self._grid = robot, grid
+        self._robot, self._grid, ratios = robot, grid, Scales(robot).ratios
+        self._near, self._speed = CHASE_DISTANCE_MAX.of(ratios), APPROACH_SPEED.of(ratios)
         self.reset()
 
     def reset(self) -> None:
@@ -67,13 +71,13 @@ class TargetReader:
             target: As read.
             position: Of the platform now in W [m], shape (3,).
         """
-        if float(np.linalg.norm(position - target.position[0])) <= CHASE_DISTANCE_MAX_M:
+        if float(np.linalg.norm(position - target.position[0])) <= self._near:
             return target
         way, here = [position], position
         for goal, step in zip(target.position[1:], np.diff(self._grid), strict=True):
             left = goal - here
             here = here + left * min(
-                1.0, APPROACH_SPEED_M_PER_S * step / max(float(np.linalg.norm(left)), 1e-9)
+                1.0, self._speed * step / max(float(np.linalg.norm(left)), 1e-9)
             )
             way.append(here)
         places = np.array(way)

@@ -26,16 +26,22 @@ import numpy as np
 from baselines.mpc.geometry import Geometry
 from baselines.mpc.model import moving_body
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-SPEED_NOISE_M_PER_S = 0.012  # of the speed gained in a command, alike for the whole platform
-ACCELERATION_DEVIATION_M_PER_S2 = 0.25  # at the start, and in ways that are not seen for long
-CENTER_WALK_M_PER_SQRT_S = 1e-3  # model errors seen as a centre of mass vary with the place
-DISTURBANCE_MAX_M_PER_S2 = 2.0  # or a rotation of the same energy: more is no disturbance
+SPEED_NOISE = Scaled(0.012, "m/s")  # of the speed gained in a command, alike for the whole platform
+# At the start, and in ways that are not seen for long.
+ACCELERATION_DEVIATION = Scaled(0.25, "m/s^2")
+# Model errors seen as a centre of mass vary with the place.
+CENTER_WALK = Scaled(1e-3, "m/sqrt(s)")
+# Or a rotation of the same energy: more is no disturbance.
+DISTURBANCE_MAX = Scaled(2.0, "m/s^2")
 UNTOLD_TIME_RATIO = 4.0  # times slower the acceleration is followed with an unknown centre of mass
 WIND_DIRECTIONS = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # in which a wind pushes
 CENTER_DEVIATIONS_MAX = 3.0  # bound of the estimated centre of mass
-CENTER_STEP_MIN_M = 1e-4  # of the centre of mass, before the robot is rebuilt with it
+# Of the centre of mass, before the robot is rebuilt with it.
+CENTER_STEP_MIN = Scaled(1e-4, "m")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,18 +96,22 @@ class UnknownLoad:
         """
         self._nominal, self._period = robot, period
         self._spread = center_of_mass
+        ratios = Scales(robot).ratios
+        self._noise = SPEED_NOISE.of(ratios)
+        self._deviation = ACCELERATION_DEVIATION.of(ratios)
+        self._center_walk = CENTER_WALK.of(ratios)
+        self._center_step = CENTER_STEP_MIN.of(ratios)
+        self._limit = DISTURBANCE_MAX.of(ratios)
         gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
         self._unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
-        self._follow = (
-            SPEED_NOISE_M_PER_S / disturbance_time * self._unit
-        )  # a walk that has that gain
+        self._follow = self._noise / disturbance_time * self._unit  # a walk that has that gain
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.robot, self._told = self._nominal, False
         self._found = np.zeros(9)  # in P [m], shape (3,); in W [m/s^2, rad/s^2], shape (6,)
-        walk = CENTER_WALK_M_PER_SQRT_S * np.sqrt(self._period)
+        walk = self._center_walk * np.sqrt(self._period)
         self._begin(
             np.repeat(self._spread, 3),
             np.repeat(walk, 3),
@@ -113,7 +123,7 @@ class UnknownLoad:
 
     def _begin(self, shift: Array, walk: Array, seen: Array, quick: Array) -> None:
         """Begin with standard deviations of the shift, and shares of those of the acceleration."""
-        self._most = np.concatenate([shift, ACCELERATION_DEVIATION_M_PER_S2 * self._unit * seen])
+        self._most = np.concatenate([shift, self._deviation * self._unit * seen])
         self._covariance = np.diag(self._most**2)
         self._walk = np.diag(np.concatenate([walk, self._follow * quick]) ** 2)
 
@@ -152,7 +162,7 @@ class UnknownLoad:
         root = np.linalg.cholesky(mass).T
         by = self._period * root @ free @ self._by(motion)
         covariance = self._bounded(self._covariance + self._walk)
-        noise = SPEED_NOISE_M_PER_S**2 * self._nominal.mass * np.eye(6)
+        noise = self._noise**2 * self._nominal.mass * np.eye(6)
         gain = np.linalg.solve(by @ covariance @ by.T + noise, by @ covariance).T
         if not turning:
             gain[:3] = 0.0
@@ -161,7 +171,7 @@ class UnknownLoad:
         covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
         self._covariance = 0.5 * (covariance + covariance.T)
         shift = CENTER_DEVIATIONS_MAX * self._spread
-        farthest = np.concatenate([np.repeat(shift, 3), DISTURBANCE_MAX_M_PER_S2 * self._unit])
+        farthest = np.concatenate([np.repeat(shift, 3), self._limit * self._unit])
         estimate = self._found + gain @ (root @ gained)
         learned = np.clip(estimate, -farthest, farthest)
         self._found = np.where(self._most > 0.0, learned, self._found)
@@ -198,7 +208,7 @@ class UnknownLoad:
 
     def _place(self, center_of_mass: Array) -> None:
         """Put the centre of mass of the robot there [m], unless it is there already."""
-        if np.abs(center_of_mass - self.robot.center_of_mass).max() > CENTER_STEP_MIN_M:
+        if np.abs(center_of_mass - self.robot.center_of_mass).max() > self._center_step:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
     def _by(self, motion: PlannedMotion) -> Array:

@@ -17,9 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-REST_SPEED_MAX_M_PER_S = 5e-3
+REST_SPEED_MAX = Scaled(5e-3, "m/s")
 LIMIT_MARGIN = 1e-3  # of the limits, kept clear of rounding
 JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
 
@@ -48,6 +50,7 @@ class WinchReference:
 
     def __init__(self, robot: Robot, *, period: float, jerk_max: float) -> None:
         self._robot, self._period, self._jerk_max = robot, period, jerk_max
+        self._rest_speed = REST_SPEED_MAX.of(Scales(robot).ratios)
         self._lead = np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period)
 
     def reset(self, length: Array) -> None:
@@ -62,7 +65,7 @@ class WinchReference:
     @property
     def at_rest(self) -> bool:
         """True if they have all but stopped."""
-        return bool(np.abs(self.rate).max() < REST_SPEED_MAX_M_PER_S)
+        return bool(np.abs(self.rate).max() < self._rest_speed)
 
     def command_range(self) -> WinchRange:
         """Return the commands within all limits; that of acceleration goes first."""

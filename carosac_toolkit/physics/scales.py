@@ -70,3 +70,11 @@ class Scales:
         """Return how far a winch winds at full speed within its lag and a delay [s]: [m]."""
         robot = self.robot
         return float((robot.speed_max * (robot.winch_lag + delay)).max())
+
+    def jerk(self, period: float) -> float:
+        """Return the change of acceleration that winches can follow [m/s^3].
+
+        It takes them to full acceleration in half their lag, and in a period [s] at the least.
+        """
+        robot = self.robot
+        return float((robot.acceleration_max / np.maximum(0.5 * robot.winch_lag, period)).min())

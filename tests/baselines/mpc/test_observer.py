@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
 from baselines.mpc.geometry import geometry_at
-from baselines.mpc.observer import OFFSET_MAX_M, SLACK_EXCESS_M, Observer
+from baselines.mpc.observer import OFFSET_MAX, SLACK_EXCESS, Observer
 from baselines.mpc.unknown_load import PlannedMotion
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.physics.scales import Scales
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def resting(robot):
 
 def observed(robot, extra, steps):
     """The observer after the cables were sent to lengths that are longer than the pose says."""
-    observer = Observer(robot, MpcSettings())
+    observer = Observer(robot, resolved(MpcSettings(), Scales(robot).ratios))
     observer.reset()
     belief = at_home(robot)
     length = geometry_at(robot, belief.position[0], belief.rotation[0]).length + extra
@@ -55,7 +57,7 @@ def test_an_offset_of_millimetres_is_learned_whole(robot):
 
 def test_a_slack_cable_is_no_offset_and_is_reeled_in(robot):
     """A cable that is 18 cm too long says nothing about the pose; sent on, it would stay slack."""
-    observer = Observer(robot, MpcSettings())
+    observer = Observer(robot, resolved(MpcSettings(), Scales(robot).ratios))
     observer.reset()
     belief = at_home(robot)
     taut = geometry_at(robot, belief.position[0], belief.rotation[0]).length
@@ -63,14 +65,14 @@ def test_a_slack_cable_is_no_offset_and_is_reeled_in(robot):
     for _ in range(200):
         start = observer.start(belief, taut + surplus, np.zeros(robot.n))
         surplus = observer.surplus  # what is sent is longer than the chord by it
-    assert surplus[0] < OFFSET_MAX_M
+    assert surplus[0] < OFFSET_MAX
     assert surplus[1:] == pytest.approx(np.zeros(3), abs=1e-9)
-    assert np.linalg.norm(start.position - robot.home_position) < SLACK_EXCESS_M
+    assert np.linalg.norm(start.position - robot.home_position) < SLACK_EXCESS
 
 
 def test_nothing_is_learned_of_the_motion_of_a_platform_on_a_slack_cable(robot):
     """It falls; that is no disturbance, and would be planned for once the cable is taut."""
-    observer = Observer(robot, MpcSettings())
+    observer = Observer(robot, resolved(MpcSettings(), Scales(robot).ratios))
     observer.reset()
     for k in range(20):
         belief = at_home(robot, (0.1 * k, 0.0, -0.2 * k, 0.0, 0.0, 0.0))
@@ -85,7 +87,7 @@ def test_nothing_is_learned_of_the_motion_of_a_platform_on_a_slack_cable(robot):
 @pytest.mark.parametrize("size", [0.01, 0.045])
 def test_the_plan_starts_at_exactly_the_lengths_and_rates_that_were_sent(robot, size):
     """What is left over at every command would be paid out as speed that no plan has asked for."""
-    observer = Observer(robot, MpcSettings())
+    observer = Observer(robot, resolved(MpcSettings(), Scales(robot).ratios))
     observer.reset()
     rest = at_home(robot)
     turn = Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
@@ -102,7 +104,7 @@ def test_the_plan_starts_at_exactly_the_lengths_and_rates_that_were_sent(robot, 
 
 def gaining(robot, told):
     """The observer after beliefs that gain speed along x, which no prediction has."""
-    observer = Observer(robot, MpcSettings())
+    observer = Observer(robot, resolved(MpcSettings(), Scales(robot).ratios))
     observer.reset()
     center = None if told is None else told[None]
     for k in range(60):

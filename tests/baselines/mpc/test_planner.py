@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,6 +13,8 @@ from baselines.mpc.observer import PlanStart
 from baselines.mpc.planner import Planner, PlanTarget
 from baselines.mpc.unknown_load import UnknownLoad
 from baselines.mpc.winch_reference import WinchRange
+from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.physics.scales import Scales
 from tests.robots import eight_cable_robot, simple_robot
 
 GENTLE, HARD = np.array([0.1, 0.15, 0.05]), np.array([1.0, 1.5, 0.5])  # moves [m]
@@ -22,7 +22,7 @@ GENTLE, HARD = np.array([0.1, 0.15, 0.05]), np.array([1.0, 1.5, 0.5])  # moves [
 
 def plan(robot, move, **changes):
     """Plan a move from home, where the platform turns; the plan, its target, slack and planner."""
-    settings = replace(MpcSettings(compiled="never"), **changes)
+    settings = resolved(MpcSettings(compiled="never", **changes), Scales(robot).ratios)
     planner = Planner(robot, settings)
     rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     turn = Rotation.from_rotvec([0.02, -0.03, 0.02]).as_matrix() @ rest.rotation[0]
@@ -84,7 +84,7 @@ def excess(found, target, slack, planner):
     ],
 )
 def test_a_larger_weight_lowers_what_it_weighs(name, cost, robot, move):
-    usual = getattr(MpcSettings(), name)
+    usual = float(getattr(MpcSettings(), name))
     small, large = (cost(*plan(robot(), move, **{name: k * usual})) for k in (0.1, 10.0))
     assert large < 0.9 * small
 
