@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ MARKER_FILES: Mapping[str, SourceKind] = {  # a file that tells what a folder is
     "curve.csv": "training",
 }
 SEARCH_DEPTH_MAX = 6  # folders below one that was named
+FOLDERS_MAX = 10_000  # below one that was named: more is a disk
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,21 +82,32 @@ def find_sources(folders: Sequence[str]) -> list[FigureSource]:
         top = Path(name)
         if not top.is_dir():
             raise InvalidField("FOLDER", f"'{name}'", "a folder that is there")
-        try:
-            here = [
-                FigureSource(kind=kind, folder=path.parent)
-                for depth in range(SEARCH_DEPTH_MAX)
-                for mark, kind in MARKER_FILES.items()
-                for path in sorted(top.glob("*/" * depth + mark))
-            ]
-        except OSError as error:
-            allowed = f"a folder that can be searched: {error.strerror}: {error.filename}"
-            raise InvalidField("FOLDER", f"'{name}'", allowed) from error
+        here = _sources_below(top)
         if not here:
             allowed = "a folder that carosac compare, validate, evaluate or train wrote"
             raise InvalidField("FOLDER", f"'{name}'", allowed)
         sources += [one for one in here if one not in sources]
     return sources
+
+
+def _sources_below(top: Path) -> list[FigureSource]:
+    """Find the folders of ours below a folder, the outermost first."""
+
+    def refuse(error: OSError) -> None:
+        allowed = f"a folder that can be searched: {error.strerror}: {error.filename}"
+        raise InvalidField("FOLDER", f"'{top}'", allowed) from error
+
+    kinds, found = list(MARKER_FILES.items()), []
+    for seen, (folder, inner, files) in enumerate(os.walk(top, onerror=refuse)):
+        if seen > FOLDERS_MAX:
+            allowed = f"a folder with at most {FOLDERS_MAX} folders in it: name those of the runs"
+            raise InvalidField("FOLDER", f"'{top}'", allowed)
+        path = Path(folder)
+        depth = len(path.relative_to(top).parts)
+        if depth == SEARCH_DEPTH_MAX - 1:
+            inner.clear()
+        found += [(depth, k, path) for k, (mark, _) in enumerate(kinds) if mark in files]
+    return [FigureSource(kind=kinds[k][1], folder=path) for _, k, path in sorted(found)]
 
 
 def of_kind(sources: Sequence[FigureSource], kind: SourceKind) -> list[Path]:
