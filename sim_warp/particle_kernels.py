@@ -45,7 +45,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
 )
 from carosac_toolkit.physics.motion.world_kernels import (
-    NEWTON_STEP_MIN_M,
+    NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
     Plants,
     Worlds,
@@ -65,7 +65,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MIDPOINT_WEIGHT_0 = wp.constant(wp.float64(13.0 / 12.0))
 MIDPOINT_WEIGHT_1 = wp.constant(wp.float64(7.0 / 8.0))
 MIDPOINT_WEIGHT_2 = wp.constant(wp.float64(25.0 / 24.0))
-NODE_NEWTON_STEP_MIN_M = wp.constant(wp.float64(1.0e-6))  # a smaller step of all nodes is the last
+NODE_NEWTON_STEP_MIN = wp.constant(
+    wp.float64(1.0e-7)
+)  # of the typical length: a smaller step of all nodes is the last
 
 
 @wp.func_native("""
@@ -437,7 +439,8 @@ def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: 
         square = sweep_up(chains, b, s, i, scheme, move + wp.cross(turn, arm))
         square_max = wp.max(square_max, square)
     far = wp.float64(0.0)
-    if not square_max < NODE_NEWTON_STEP_MIN_M * NODE_NEWTON_STEP_MIN_M:
+    least = NODE_NEWTON_STEP_MIN * plants.bodies[row].size
+    if not square_max < least * least:
         far = ONE
     return int(lane_sum(far, lane.count))
 
@@ -516,7 +519,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < NEWTON_STEP_MIN_M and far == 0
+        solved = size < NEWTON_STEP_MIN * body.size and far == 0
     out = world
     out.accepted = 0
     if solved or ticks == 1:

@@ -39,7 +39,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
 )
 from carosac_toolkit.physics.motion.winch_kernels import WinchState
 from carosac_toolkit.physics.motion.world_kernels import (
-    NEWTON_STEP_MIN_M,
+    NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
     STEPS_ALIKE,
     Plants,
@@ -68,7 +68,9 @@ TIGHT_CLOSURE_MAX = wp.constant(wp.float64(1.0e-12))
 FIRST_ORDER_CORRECTION_MAX = wp.constant(
     wp.float64(0.3)
 )  # of q: a larger correction is not of first order any more
-MOTION_CLOSURE_MAX_M = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
+MOTION_CLOSURE_MAX = wp.constant(
+    wp.float64(1.0e-6)
+)  # of the typical length: a larger closure asks for another step
 SAGGING_MODEL = wp.constant(0)
 RELEASE_STEP_S = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
 RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
@@ -268,7 +270,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < NEWTON_STEP_MIN_M and loaded.gap < MOTION_CLOSURE_MAX_M
+        solved = size < NEWTON_STEP_MIN * body.size and loaded.gap < MOTION_CLOSURE_MAX * body.size
         going = (not solved) and count < NEWTON_STEPS_MAX
     if not solved and ticks > 1:
         return 0

@@ -22,9 +22,9 @@ CALM_STEPS = wp.constant(3)  # steps after which a change from slack to taut is 
 STEPS_ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
 NEWTON_STEPS_MAX = wp.constant(12)  # Newton steps in one time step
 STEP_PARTS_MAX = wp.constant(64)  # parts of a time step in which it may be taken where it fails
-NEWTON_STEP_MIN_M = wp.constant(
-    wp.float64(1.0e-7)
-)  # [m] a smaller Newton step of the platform is the last
+NEWTON_STEP_MIN = wp.constant(
+    wp.float64(1.0e-8)
+)  # of the typical cable length: a smaller Newton step of the platform is the last
 LOST_DISTANCE_LENGTHS = wp.constant(
     wp.float64(100.0)
 )  # typical cable lengths: farther from the exits is lost
