@@ -7,17 +7,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled, resolved
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 READING_INTERVAL_MIN_S = 1e-6
-EXTRAPOLATION_TIME_S = 0.1  # for which the last rate goes on
 AGREEING_READINGS_MIN = 5  # readings in a row that agree with each other cannot all be outliers
 JUMP_KEPT_RATIO = 0.5  # of a jump: a reading that is off by less is no part of it
 JUMP_RETURN_RATIO = 0.25  # of a jump: an encoder that is off by less soon after has come back
-JUMP_RETURN_TIME_S = 2.0  # in which a fault that ends has ended
-READING_JITTER_M = 5e-3  # by which a reading may miss the expectation
-SLIP_DEVIATION_M = 5e-3  # of the estimated slip of an encoder
+JITTER_DEVIATIONS = 10.0  # of encoder noise, that jitter covers at the least
 FROZEN_READINGS_MIN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingTolerances:
+    """What readings may do; the defaults are those of ``carosac``, and scale with the robot.
+
+    Attributes:
+        extrapolation_time: For which the last rate goes on [s].
+        return_time: In which a fault that ends has ended [s].
+        jitter: By which a reading may miss the expectation [m].
+        slip_deviation: Of the estimated slip of an encoder [m].
+    """
+
+    extrapolation_time: float = Scaled(0.1, "s")
+    return_time: float = Scaled(2.0, "s")
+    jitter: float = Scaled(5e-3, "m")
+    slip_deviation: float = Scaled(5e-3, "m")
+
+
+def reading_tolerances(robot: Robot, noise: float) -> ReadingTolerances:
+    """Return the tolerances for a robot with encoders of some noise [m]."""
+    here = resolved(ReadingTolerances(), Scales(robot).ratios)
+    return replace(here, jitter=max(here.jitter, JITTER_DEVIATIONS * noise))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,6 +70,7 @@ class LengthReadings:
     Attributes:
         time: When they count, increasing [s], shape (K,).
         length: What they say [m], shape (K, n).
+        tolerances: Of this robot.
         slid: By how much encoders have slipped since the start [m], shape (n,).
         had_slid: The same before the last of these slips, shape (n,).
         slid_at: When that was noticed [s].
@@ -62,6 +85,7 @@ class LengthReadings:
 
     time: Array
     length: Array
+    tolerances: ReadingTolerances
     slid: Array
     had_slid: Array
     frozen: Array
@@ -74,13 +98,16 @@ class LengthReadings:
     corrected: int = 0
 
     @classmethod
-    def first(cls, time: float, length: Array, slid: Array | None = None) -> LengthReadings:
+    def first(
+        cls, time: float, length: Array, tolerances: ReadingTolerances, slid: Array | None = None
+    ) -> LengthReadings:
         """Start with one reading (n,) [m] of encoders that slipped by (n,) [m] before."""
         nothing = np.zeros(len(length))
         slid = nothing if slid is None else slid
         return cls(
-            time=np.array([time]), length=length[None], slid=slid, had_slid=slid, frozen=nothing
-        )
+            time=np.array([time]), length=length[None], tolerances=tolerances, slid=slid,
+            had_slid=slid, frozen=nothing,
+        )  # fmt: skip
 
     def taken(
         self, time: float, length: Array, robot: Robot, jump: float, keep: float
@@ -126,23 +153,23 @@ class LengthReadings:
         before = self.outliers
         if before is not None:
             wound = robot.speed_max * (time - before.time)
-            if (np.abs(length - before.length) <= wound + READING_JITTER_M).all():
+            if (np.abs(length - before.length) <= wound + self.tolerances.jitter).all():
                 return replace(before, time=time, length=length, agree=before.agree + 1)
         step = time - self.time[-1]
         far = np.abs(length - self.length[-1]) > robot.speed_max * step + jump
         off = length - self.at(time)
         if before is not None:
-            wound = robot.speed_max * max(step - EXTRAPOLATION_TIME_S, 0.0)
+            wound = robot.speed_max * max(step - self.tolerances.extrapolation_time, 0.0)
             far |= np.abs(off) > np.maximum(JUMP_KEPT_RATIO * np.abs(before.offset), wound + jump)
         if not far.any():
             return None
-        jumped = far | (np.abs(off) > READING_JITTER_M + robot.acceleration_max * step**2)
+        jumped = far | (np.abs(off) > self.tolerances.jitter + robot.acceleration_max * step**2)
         offset = np.where(jumped, off, 0.0)
         return LengthOutliers(
             time=time,
             length=length,
             offset=offset,
-            prompt=step <= EXTRAPOLATION_TIME_S + READING_INTERVAL_MIN_S,
+            prompt=step <= self.tolerances.extrapolation_time + READING_INTERVAL_MIN_S,
         )
 
     def _believed(
@@ -151,7 +178,8 @@ class LengthReadings:
         """Add a reading that is believed, before which encoders slipped by (n,) [m]."""
         slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
         if slipped.any():
-            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < JUMP_RETURN_TIME_S
+            left = np.linalg.norm(slid - had_slid)
+            soon = time - slid_at < self.tolerances.return_time
             if soon and left < JUMP_RETURN_RATIO * np.linalg.norm(slipped):
                 slid, slipped = had_slid, had_slid - self.slid
             had_slid, slid_at = self.slid, time
@@ -183,7 +211,9 @@ class LengthReadings:
         last = self.time[-1]
         if time > last and len(self.time) > 1:
             rate = (self.length[-1] - self.length[-2]) / (last - self.time[-2])
-            return np.asarray(self.length[-1] + min(time - last, EXTRAPOLATION_TIME_S) * rate)
+            return np.asarray(
+                self.length[-1] + min(time - last, self.tolerances.extrapolation_time) * rate
+            )
         k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
         if len(self.time) == 1 or time <= self.time[0]:
             return np.asarray(self.length[0])

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,11 +50,21 @@ SENSOR_UNITS = {
     "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2", "imu_delay": "s",
     "tension_rate": "Hz", "tension_noise": "N", "tension_bias": "N", "tension_delay": "s",
 }  # fmt: skip
-# What estimators are told of the sensors, by name; other settings are theirs to derive.
-TOLD_OF_SENSORS: Mapping[str, Sequence[str]] = {
-    "dynamic_estimator": ("angular_rate_noise", "angular_rate_bias", "position_noise"),
-    "ks_ekf": ("angular_rate_noise", "angular_rate_bias"),
-}
+# What estimators are told of the sensors, with units; other settings are theirs to derive.
+TOLD_OF_SENSORS: Mapping[str, Mapping[str, str]] = {
+    "dynamic_estimator": {
+        "encoder_noise": "m", "encoder_bias": "m",
+        "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
+        "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2",
+        "position_noise": "m", "rotation_noise": "rad",
+    },
+    "ks_ekf": {
+        "length_noise": "m", "length_bias": "m",
+        "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
+        "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2",
+        "bias_walk": "1/sqrt(s)",
+    },
+}  # fmt: skip
 SCALES_WITH_LENGTH = ("tracking_rmse_norm_m", "residual_sway_m", "estimation_rmse_norm_m")
 SCORES = (*SCALES_WITH_LENGTH, "nees", "tension_min_N", "limited")
 
@@ -111,16 +121,23 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
     )  # fmt: skip
     estimator = Truth(driver)
     if estimator_name != "truth":
-        told = {name: getattr(sensors, name) for name in TOLD_OF_SENSORS.get(estimator_name, ())}
+        plugin = plugins.load("estimators", estimator_name)
         estimator = build_plugin(
-            plugins.load("estimators", estimator_name), robot, where="estimator",
-            asked={**told, **asked.get("estimator", {})},
+            plugin, robot, where="estimator",
+            asked={**told_of_sensors(estimator_name, ratios), **asked.get("estimator", {})},
         )  # fmt: skip
     duration = world.path.duration + FINAL_REST_S * ratios.time
     log = loop.run(driver, estimator, controller, world.path, duration=duration)
     scores = score(log, robot, world.path.duration)
     scores["limited_by"] = sorted({hit.limit for _, hit in log.limited})
     return scores
+
+
+def told_of_sensors(estimator: str, ratios: Ratios) -> dict[str, float]:
+    """Return the settings of an estimator that describe the scaled sensors."""
+    told = TOLD_OF_SENSORS.get(estimator, {})
+    usual = plugins.load("estimators", estimator).Settings() if told else None
+    return {name: getattr(usual, name) * ratios.of_unit(unit) for name, unit in told.items()}
 
 
 def dimensionless(scores: Mapping[str, Any], world: World) -> dict[str, float | None]:

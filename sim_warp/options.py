@@ -7,7 +7,6 @@ from typing import Any, get_args
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S
 from sim_warp.simulator import SEGMENTS_MAX, Cables
 
 
@@ -20,14 +19,15 @@ class CableOptions:
         segments: Number per cable, for ``particles`` and ``xpbd``: more are more accurate and cost
             time in proportion.
         time_step: Longest time step [s]; None takes a default.
-        cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
+        cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass. None:
+            0.5 on ``carosac``, scales with the robot.
         device: Warp device, such as ``cpu`` or ``cuda``.
     """
 
     cables: Cables = "particles"
     segments: int = 16
     time_step: float | None = None
-    cable_drag: float = CABLE_DRAG_PER_S
+    cable_drag: float | None = None
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -37,7 +37,8 @@ class CableOptions:
         check_whole("segments", self.segments, 2, SEGMENTS_MAX)
         if self.time_step is not None:
             check_positive("time_step", self.time_step, "s")
-        check_not_negative("cable_drag", self.cable_drag, "1/s")
+        if self.cable_drag is not None:
+            check_not_negative("cable_drag", self.cable_drag, "1/s")
 
     @property
     def simulator_options(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from carosac_toolkit.base.numbers import check_not_negative, check_positive, che
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
@@ -70,7 +70,7 @@ class Simulator:
         perturbation: str = "none",
         wind_force: float | None = None,
         wind_time: float | None = None,
-        cable_drag: float = CABLE_DRAG_PER_S,
+        cable_drag: float | None = None,
         winch: WinchSettings | None = None,
         iterations: int = 20,
     ) -> None:
@@ -91,7 +91,8 @@ class Simulator:
             wind_force: Standard deviation of the force of the wind on the platform per horizontal
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.
-            cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
+            cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass. None:
+                0.5 on ``carosac``, scales with the robot (the first, where there are several).
             winch: Response of the drives to commands; None takes the defaults.
             iterations: Passes over the constraints in a time step, for ``xpbd``.
 
@@ -109,7 +110,8 @@ class Simulator:
         check_whole("segments", segments, 2, SEGMENTS_MAX)
         check_whole("iterations", iterations, 1, None)
         check_positive("time_step", TIME_STEPS_S[cables] if time_step is None else time_step, "s")
-        check_not_negative("cable_drag", cable_drag, "1/s")
+        drag = cable_drag_of(robots[0]) if cable_drag is None else cable_drag
+        check_not_negative("cable_drag", drag, "1/s")
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
@@ -132,7 +134,7 @@ class Simulator:
         self._worlds = allocate_worlds(size, self.fleet.n, device, self.seeds.astype(np.int32))
         command = self._worlds.command  # on the CPU numpy writes to it directly, which is faster
         self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
-        self._dynamics = self._make_dynamics(float(cable_drag), iterations)
+        self._dynamics = self._make_dynamics(float(drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self._go_home()
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from baselines.center_of_mass import learned_center_of_mass
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
-from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, settings_for
 from baselines.dynamic_estimator.tracker import Track, Tracker
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -57,6 +57,7 @@ class DynamicEstimator:
     Settings: ClassVar = DynamicEstimatorSettings
 
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        settings = settings_for(robot, settings)
         self._robot = robot
         self._tracker = Tracker(robot, settings)
         self._settings = settings
@@ -141,7 +142,7 @@ def _belief(
         twist=np.stack([state.twist for state in known]),
         covariance=np.stack(
             [
-                state.platform_covariance(settings.stretch_noise, settings.rate_noise)
+                state.platform_covariance(settings.stretch_deviation, settings.rate_noise)
                 for state in known
             ]
         ),

@@ -11,8 +11,12 @@ from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementM
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 
-LATE_POSE_ACCELERATIONS = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
+# By which twists change while a pose is late.
+LATE_POSE_ACCELERATION = Scaled(2.0, "m/s^2")
+LATE_POSE_ANGULAR_ACCELERATION = Scaled(5.0, "rad/s^2")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,6 +50,9 @@ class DynamicFilter:
         self._model = model
         self._settings = settings
         self._sensors = MeasurementModels(model, settings)
+        ratios = Scales(model.robot).ratios
+        late = LATE_POSE_ACCELERATION.of(ratios), LATE_POSE_ANGULAR_ACCELERATION.of(ratios)
+        self._late_acceleration = np.repeat(late, 3)
 
     def step(
         self, state: DynamicFilterState, reading: Array, end: Array, duration: float,
@@ -97,7 +104,7 @@ class DynamicFilter:
 
         position = position + late * state.twist[:3]
         rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
-        swept = 0.5 * late**2 * np.repeat(LATE_POSE_ACCELERATIONS, 3)
+        swept = 0.5 * late**2 * self._late_acceleration
         measurement = self._sensors.pose(state, position, rotation)
         cross = state.covariance @ measurement.by.T
         own = measurement.by @ cross + measurement.noise + np.diag(swept**2)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.dynamic_estimator.sway_basis import SwayBasis
-from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 
 
@@ -119,9 +118,14 @@ class DynamicFilterState:
         matrix[where, where] += np.diag(deviation**2)
         return replace(self, covariance=matrix)
 
-    def slipped(self, slip: Array) -> DynamicFilterState:
-        """Return the state after encoders slipped by (n,) [m]; the platform stays where it was."""
-        doubt = np.where(slip == 0.0, 0.0, SLIP_DEVIATION_M)
+    def slipped(self, slip: Array, deviation: float) -> DynamicFilterState:
+        """Return the state after encoders slipped; the platform stays where it was.
+
+        Args:
+            slip: By how much [m], shape (n,).
+            deviation: Of that, where it is not 0 [m].
+        """
+        doubt = np.where(slip == 0.0, 0.0, deviation)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:

@@ -10,8 +10,11 @@ from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.model import DynamicModel, LinearisedStep
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 
-STRETCH_RATE_NOISE_M_PER_S = 0.06  # vibrations of the stretch, which turn the gyroscope
+# Vibrations of the stretch, which turn the gyroscope.
+STRETCH_RATE_NOISE = Scaled(0.06, "m/s")
 
 
 class ImuMean(NamedTuple):
@@ -50,6 +53,7 @@ class MeasurementModels:
         self._vibration = np.repeat([s.angular_vibration**2, s.vibration**2], 3)
         self._poses = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
         self._tension = s.tension_noise * model.robot.weight
+        self._stretch_rate = STRETCH_RATE_NOISE.of(Scales(model.robot).ratios)
 
     def carried(self, move: LinearisedStep, duration: float) -> tuple[Array, float]:
         """Return the transition matrix of the errors over a step, and the share of wind left.
@@ -72,7 +76,7 @@ class MeasurementModels:
         by[:, : where.moving] = move.felt_by
         by[:, where.imu] = np.eye(6)
         pulled = self._tension * move.pulled
-        stretched = STRETCH_RATE_NOISE_M_PER_S * move.stretched
+        stretched = self._stretch_rate * move.stretched
         noise = np.diag(self._imu / felt.samples + self._vibration)
         noise += pulled @ pulled.T + stretched @ stretched.T
         return LinearisedMeasurement(felt.values - move.felt - move.state.imu_bias, by, noise)
@@ -90,7 +94,7 @@ class MeasurementModels:
         import pinocchio
 
         turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
-        rigid = self._settings.stretch_noise * state.sway.slaved
+        rigid = self._settings.stretch_deviation * state.sway.slaved
         return LinearisedMeasurement(
             residual=np.concatenate([position - state.position, turn]),
             by=state.pose_by(),

@@ -11,13 +11,16 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.sway_basis import sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-DIFFERENCE_STEP_M = 1e-4  # of the centre of mass, and its speed [m/s]
-WIND_STEP_N = 1e-2
+SWAY_STEP = Scaled(1e-4, "m")  # of the centre of mass
+SWAY_SPEED_STEP = Scaled(1e-4, "m/s")
+WIND_STEP = Scaled(1e-2, "N")
 LOG_MASS_STEP = 1e-4
-LENGTH_STEP_M = 1e-5  # also of the centre of mass in P
+LENGTH_STEP = Scaled(1e-5, "m")  # also of the centre of mass in P
 
 
 class NoMotion(CarosacError):
@@ -59,10 +62,12 @@ class DynamicModel:
 
         self.robot = robot
         self.errors = Errors(robot.n)
-        where = self.errors
-        steps = np.full(where.moving, DIFFERENCE_STEP_M * np.sqrt(robot.mass))
-        steps[where.wind], steps[where.mass] = WIND_STEP_N, LOG_MASS_STEP
-        steps[where.center] = steps[where.bias] = LENGTH_STEP_M
+        where, ratios = self.errors, Scales(robot).ratios
+        steps = np.zeros(where.moving)
+        steps[where.sway] = SWAY_STEP.of(ratios) * np.sqrt(robot.mass)
+        steps[where.speed] = SWAY_SPEED_STEP.of(ratios) * np.sqrt(robot.mass)
+        steps[where.wind], steps[where.mass] = WIND_STEP.of(ratios), LOG_MASS_STEP
+        steps[where.center] = steps[where.bias] = LENGTH_STEP.of(ratios)
         self._steps = steps
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(

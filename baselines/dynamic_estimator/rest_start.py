@@ -10,17 +10,14 @@ from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.sway_basis import SwayBasis, sway_at
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-LOAD_STEPS = (
-    1e-3,
-    1e-4,
-    1e-4,
-    1e-4,
-)  # of the differences: logarithm of the mass, centre of mass [m]
-LENGTH_STEP_M = 1e-4
+LOG_MASS_STEP = 1e-3  # of the differences
+DIFFERENCE_STEP = Scaled(1e-4, "m")  # of centre of mass and lengths
 
 
 class RestStart:
@@ -30,9 +27,10 @@ class RestStart:
         """Take the robot of n cables."""
         self._robot = robot
         self._settings = settings
-        loads = [replace(robot, mass=robot.mass * np.exp(LOAD_STEPS[0]))]
+        self._step = DIFFERENCE_STEP.of(Scales(robot).ratios)
+        loads = [replace(robot, mass=robot.mass * np.exp(LOG_MASS_STEP))]
         for axis in range(3):
-            center = robot.center_of_mass + LOAD_STEPS[1 + axis] * np.eye(3)[axis]
+            center = robot.center_of_mass + self._step * np.eye(3)[axis]
             loads.append(replace(robot, center_of_mass=center))
         self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
 
@@ -48,7 +46,7 @@ class RestStart:
         """
         robot, n = self._robot, self._robot.n
         lengths = np.tile(reading, (5 + n, 1))
-        lengths[5:] -= LENGTH_STEP_M * np.eye(n)
+        lengths[5:] -= self._step * np.eye(n)
         if not (lengths > 0.0).all():
             return None
         alone = forward_kinematics(robot, reading[None])
@@ -80,7 +78,7 @@ class RestStart:
 
         turn = Rotation.from_matrix(rests.rotation[1:] @ rests.rotation[0].T).as_rotvec()
         moved = np.hstack([rests.position[1:] - rests.position[0], turn])
-        steps = np.array([*LOAD_STEPS, *[LENGTH_STEP_M] * self._robot.n])
+        steps = np.array([LOG_MASS_STEP, *[self._step] * (3 + self._robot.n)])
         return np.asarray((moved / steps[:, None]).T)
 
     def _covariance(
@@ -92,7 +90,7 @@ class RestStart:
         spread[where.wind] = s.wind_force
         spread[where.mass] = s.mass
         spread[where.center] = s.center_of_mass
-        spread[where.bias] = s.length_bias
+        spread[where.bias] = s.bias_deviation
         spread[where.imu] = np.repeat([s.angular_rate_bias, s.specific_force_bias], 3)
         carry = np.eye(where.size)
         free = np.array(by)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, fields, replace
 
 from carosac_toolkit.base.arrays import frozen_array
-from carosac_toolkit.base.numbers import check_fields, check_not_negative
+from carosac_toolkit.base.numbers import check_fields, check_not_negative, check_positive
+from carosac_toolkit.base.scaled import Scaled, resolved
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
 
 Mount = tuple[float, float, float]
 
@@ -14,18 +18,24 @@ Mount = tuple[float, float, float]
 class DynamicEstimatorSettings:
     """Settings of `DynamicEstimator`; one standard deviation where something is random.
 
-    The defaults are those of the condition ``nominal-1`` and its sensors. 0 takes a quantity as
-    known.
+    The defaults are those of the condition ``nominal-1`` and its sensors, for the robot
+    ``carosac``. Those that describe a sensor are the same for every robot: noise and bias of
+    encoders, IMU and poses. All others that have a unit scale with the robot. 0 takes a quantity
+    as known.
 
     Attributes:
         mass: Logarithm of the platform's mass over that of the robot file.
         center_of_mass: Per axis [m].
-        length_bias: What a length reading says too much at the start, per cable: encoder bias,
-            and errors of exit points along the cable [m].
+        encoder_bias: What an encoder says too much at the start, per cable [m].
+        exit_error: Errors of exit points, along the cable [m].
+        length_bias: What a length reading says too much at the start, per cable [m]; None: what
+            `encoder_bias` and `exit_error` come to together.
         length_bias_walk: By how much that changes, where the platform moves through the workspace
             and exit points are wrong across the cable too [m/sqrt(s)].
-        stretch_noise: Of the lengths between readings and platform: noise of the readings, and
-            vibrations of the stretch, which the model does not follow [m].
+        encoder_noise: Of the readings [m].
+        stretch_vibration: Vibrations of the stretch, which the model does not follow [m].
+        stretch_noise: Of the lengths between readings and platform [m]; None: what `encoder_noise`
+            and `stretch_vibration` come to together.
         rate_noise: Of the rates of these lengths, in the twist of the belief [m/s].
         wind_force: Force of the wind on the platform per horizontal axis, and of all else that
             pushes it and that the model does not know: three times the wind alone, so that sway
@@ -61,19 +71,23 @@ class DynamicEstimatorSettings:
     """
 
     mass: float = 0.03
-    center_of_mass: float = 0.01
-    length_bias: float = 7e-3
-    length_bias_walk: float = 1e-3
-    stretch_noise: float = 0.6e-3
-    rate_noise: float = 0.02
-    wind_force: float = 3.0
-    wind_time: float = 2.0
-    start_speed: float = 0.02
-    acceleration_noise: float = 0.005
-    stretch_damping: float = 0.04
+    center_of_mass: float = Scaled(0.01, "m")
+    encoder_bias: float = 5e-3
+    exit_error: float = Scaled(4.898979485566357e-3, "m")  # 7 mm with the bias
+    length_bias: float | None = None
+    length_bias_walk: float = Scaled(1e-3, "m/sqrt(s)")
+    encoder_noise: float = 0.2e-3
+    stretch_vibration: float = Scaled(5.656854249492379e-4, "m")  # 0.6 mm with the noise
+    stretch_noise: float | None = None
+    rate_noise: float = Scaled(0.02, "m/s")
+    wind_force: float = Scaled(3.0, "N")
+    wind_time: float = Scaled(2.0, "s")
+    start_speed: float = Scaled(0.02, "m/s")
+    acceleration_noise: float = Scaled(0.005, "m/s/sqrt(s)")
+    stretch_damping: float = Scaled(0.04, "s")
     tension_noise: float = 0.4
-    vibration: float = 0.2
-    angular_vibration: float = 0.02
+    vibration: float = Scaled(0.2, "m/s^2")
+    angular_vibration: float = Scaled(0.02, "rad/s")
     angular_rate_noise: float = 3.5e-3
     angular_rate_bias: float = 5e-3
     specific_force_noise: float = 0.017
@@ -83,10 +97,10 @@ class DynamicEstimatorSettings:
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
     gate: float = 6.0
-    reading_jump: float = 0.05
+    reading_jump: float = Scaled(0.05, "m")
     delay: float | None = None
-    time_step: float = 0.01
-    gap_max: float = 60.0
+    time_step: float = Scaled(0.01, "s")
+    gap_max: float = Scaled(60.0, "s")
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -94,14 +108,39 @@ class DynamicEstimatorSettings:
             frozen_array(name, getattr(self, name), (3,))
         if self.delay is not None:
             check_not_negative("delay", self.delay, "s")
-        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, "delay")
+        if self.length_bias is not None:
+            check_not_negative("length_bias", self.length_bias)
+        if self.stretch_noise is not None:
+            check_positive("stretch_noise", self.stretch_noise)
+        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, *_OPTIONAL_FIELDS)
         others = [item.name for item in fields(self) if item.name not in apart]
         check_fields(self, positive=_POSITIVE_FIELDS, not_negative=others)
 
+    @property
+    def bias_deviation(self) -> float:
+        """What a length reading says too much at the start, one standard deviation [m]."""
+        if self.length_bias is not None:
+            return self.length_bias
+        return math.hypot(self.encoder_bias, self.exit_error)
 
+    @property
+    def stretch_deviation(self) -> float:
+        """Noise of the lengths between readings and platform, one standard deviation [m]."""
+        if self.stretch_noise is not None:
+            return self.stretch_noise
+        return math.hypot(self.encoder_noise, self.stretch_vibration)
+
+
+def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEstimatorSettings:
+    """Return settings with the defaults of a robot in place of those of ``carosac``."""
+    here = resolved(settings, Scales(robot).ratios)
+    return replace(here, length_bias=here.bias_deviation, stretch_noise=here.stretch_deviation)
+
+
+_OPTIONAL_FIELDS = ("length_bias", "stretch_noise", "delay")
 _MOUNT_FIELDS = ("imu_position", "imu_rotation")
 _POSITIVE_FIELDS = (
-    "stretch_noise", "wind_time", "start_speed", "angular_rate_noise",
+    "stretch_vibration", "wind_time", "start_speed", "angular_rate_noise",
     "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
     "reading_jump", "time_step", "gap_max",
 )  # fmt: skip

@@ -17,17 +17,25 @@ from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
+from baselines.length_readings import (
+    READING_INTERVAL_MIN_S,
+    LengthReadings,
+    reading_tolerances,
+)
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Measurement
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 STRAIGHT_TIME_STEPS = 2.0  # over which lengths may be taken as straight
 IMU_GROUP_TIME_STEPS = 0.6  # IMU samples so close together are taken as one
 WAITING_SAMPLES_MAX = 400  # of the IMU: a few seconds of them
-STALE_TIME_S = 0.2  # without a length reading, after which lengths are held and doubted
-POSE_DELAY_MAX_S = 0.1  # behind the lengths: older poses are not used
-RESTART_SPEED_M_PER_S = 0.5  # at which a platform may move where it is hung anew: it need not rest
+# Without a length reading, after which lengths are held and doubted.
+STALE_TIME = Scaled(0.2, "s")
+POSE_DELAY_MAX = Scaled(0.1, "s")  # behind the lengths: older poses are not used
+# At which a platform may move where it is hung anew: it need not rest.
+RESTART_SPEED = Scaled(0.5, "m/s")
 
 
 class TimedPose(NamedTuple):
@@ -84,6 +92,10 @@ class Tracker:
         self._filter = DynamicFilter(self._model, settings)
         self._rest = RestStart(robot, settings)
         self._short = STRAIGHT_TIME_STEPS * settings.time_step
+        self._tolerances = reading_tolerances(robot, settings.encoder_noise)
+        ratios = Scales(robot).ratios
+        self._stale_time, self._late_max = STALE_TIME.of(ratios), POSE_DELAY_MAX.of(ratios)
+        self._restart_speed = RESTART_SPEED.of(ratios)
         self._delay = (robot.length_delay or 0.0) if settings.delay is None else settings.delay
 
     def start(
@@ -96,10 +108,12 @@ class Tracker:
         """
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
-        readings = LengthReadings.first(self._counts(measurement, row), length, slid)
+        readings = LengthReadings.first(
+            self._counts(measurement, row), length, self._tolerances, slid
+        )
         state = self._rest.state(now, length - readings.slid, speed)
         if state is not None:
-            state = state.slipped(readings.slid)
+            state = state.slipped(readings.slid, self._tolerances.slip_deviation)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
             poses=(), tally=InnovationTally(), restarts=0,
@@ -122,10 +136,10 @@ class Tracker:
                         poses=_known_poses(track.poses, measurement, row))  # fmt: skip
         if readings.slipped is not None:
             track = replace(
-                track, state=state.slipped(readings.slipped),
-                readings=replace(readings, slipped=None),
+                track, readings=replace(readings, slipped=None),
+                state=state.slipped(readings.slipped, self._tolerances.slip_deviation),
             )  # fmt: skip
-        if now - readings.time[-1] > STALE_TIME_S:
+        if now - readings.time[-1] > self._stale_time:
             track = self._held(track, now)
         try:
             return self._moved(track, measurement, row)
@@ -141,7 +155,7 @@ class Tracker:
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on, and encoders have slipped as before."""
         before = track.readings
-        fresh = self.start(measurement, row, RESTART_SPEED_M_PER_S, before.slid)
+        fresh = self.start(measurement, row, self._restart_speed, before.slid)
         readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
         return replace(
             fresh, readings=readings, stale=track.stale,
@@ -205,7 +219,7 @@ class Tracker:
     ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a pose, unless it is too late to say anything."""
         late = max(0.0, state.time - pose.time)
-        if late > POSE_DELAY_MAX_S:
+        if late > self._late_max:
             return state, InnovationTally(disturbed=1)
         return self._filter.pose(state, pose.position, pose.rotation, late)
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.ks_ekf.cable_swing import CableStrings, CableSwing
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import KsEkfState
 from baselines.ks_ekf.platform_motion import origin, pose_map
-from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.physics.cable.lengths import length_at_tension
@@ -27,7 +27,6 @@ from carosac_toolkit.robot.robot import Robot
 
 TAUT_TENSION_DEVIATIONS = 2.0  # a smaller tension does not tell how much the cable sags
 TENSION_ERROR_RATIO = 0.05  # of the tensions behind sag and stretch: mass and inertia are so good
-SWING_FADE_TIME_S = 2.0  # in which a cable's own swing fades to 1/e: a second or two in recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +52,7 @@ class ExpectedLengths:
 
 
 def expected_lengths(
-    robot: Robot, state: KsEkfState, turning: Array, swing: CableSwing, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, turning: Array, swing: CableSwing, settings: FilterSettings
 ) -> ExpectedLengths:
     """Expect the lengths of a state.
 
@@ -87,7 +86,7 @@ def expected_lengths(
     less = np.where(taut, tension - doubt, 1.0)
     bend = _curvature(robot, state, straight, settings)
     strings = _strings(robot, straight, tension)
-    swing = swing.later(state.time, strings, SWING_FADE_TIME_S)
+    swing = swing.later(state.time, strings, settings.swing_fade_time)
     spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swing.taken(strings)
     return ExpectedLengths(
         length=cables.unstrained_length[0],
@@ -111,7 +110,7 @@ def _strings(robot: Robot, straight: StraightCables, tension: Array) -> CableStr
 
 
 def _curvature(
-    robot: Robot, state: KsEkfState, straight: StraightCables, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, straight: StraightCables, settings: FilterSettings
 ) -> Array:
     """Return the second-order length error of the present pose covariance [m], (n,)."""
     mapping = pose_map(state, settings.imu_position)
@@ -137,7 +136,7 @@ def _weight(robot: Robot, state: KsEkfState) -> Array:
     return np.concatenate([force, np.cross(arm, force)])
 
 
-def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: KsEkfSettings) -> Array:
+def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: FilterSettings) -> Array:
     """Return the wrench of the cables about the origin in motion, in W, shape (6,)."""
     rate, force = state.samples.at(state.time)
     spin = rate - state.rate_bias

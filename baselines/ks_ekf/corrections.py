@@ -8,6 +8,7 @@ import numpy as np
 
 from baselines.ks_ekf.cable_model import expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import (
     CENTER_ERRORS,
     FORCE_BIAS_ERRORS,
@@ -19,18 +20,10 @@ from baselines.ks_ekf.filter_state import (
 )
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.rest_detection import RestMeans
-from baselines.ks_ekf.rest_pose import (
-    REST_POSITION_ERROR_M,
-    REST_ROTATION_ERROR_RAD,
-    RestPose,
-)
-from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.rest_pose import RestPose
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.robot.robot import Robot
-
-SWAY_POSITION_ERROR_M = 0.02  # of the mean pose beside the sway, in large motion
-SWAY_ROTATION_ERROR_RAD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +49,7 @@ class MeasurementResidual:
 
 def of_lengths(
     robot: Robot, state: KsEkfState, lengths: Array, turning: Array, swing: CableSwing,
-    settings: KsEkfSettings,
+    settings: FilterSettings,
 ) -> MeasurementResidual:  # fmt: skip
     """Compare lengths (n,) with a state; `turning` is angular acceleration in P [rad/s^2]."""
     expected = expected_lengths(robot, state, turning, swing, settings)
@@ -73,7 +66,7 @@ def of_lengths(
 
 
 def of_rest_pose(
-    state: KsEkfState, rest: RestPose, noise: Array, settings: KsEkfSettings
+    state: KsEkfState, rest: RestPose, noise: Array, settings: FilterSettings
 ) -> MeasurementResidual:
     """Compare a pose of rest of noise (6, 6) with a state, whose length errors it depends on."""
     import pinocchio
@@ -91,19 +84,21 @@ def of_rest_pose(
     )
 
 
-def rest_noise() -> Array:
+def rest_noise(settings: FilterSettings) -> Array:
     """Return the covariance of a pose of rest where the platform rests."""
-    return np.diag(np.repeat([REST_POSITION_ERROR_M**2, REST_ROTATION_ERROR_RAD**2], 3))
+    errors = settings.rest_position_error, settings.rest_rotation_error
+    return np.diag(np.repeat(np.square(errors), 3))
 
 
-def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
+def sway_noise(rest: RestPose, settings: FilterSettings) -> Array:
     """Return the covariance of a pose of rest about which the platform sways."""
-    least = np.repeat([SWAY_POSITION_ERROR_M**2, SWAY_ROTATION_ERROR_RAD**2], 3)
+    errors = settings.sway_position_error, settings.sway_rotation_error
+    least = np.repeat(np.square(errors), 3)
     return rest.energy(settings.sway) * rest.softness + np.diag(least)
 
 
 def of_stillness(
-    state: KsEkfState, quiet: RestMeans, gravity: float, settings: KsEkfSettings
+    state: KsEkfState, quiet: RestMeans, gravity: float, settings: FilterSettings
 ) -> MeasurementResidual:
     """Compare rest as the IMU sees it: no velocity, no angular rate, only gravity."""
     down = np.array([0.0, 0.0, -gravity])
@@ -119,7 +114,8 @@ def of_stillness(
             -state.velocity,
         ]
     )
-    spread = np.repeat([settings.rest_rate, settings.rest_force, settings.rest_rate], 3)
+    speed = settings.rest_lever * settings.rest_rate
+    spread = np.repeat([settings.rest_rate, settings.rest_force, speed], 3)
     return MeasurementResidual(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
 
 

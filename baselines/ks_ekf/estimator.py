@@ -16,6 +16,7 @@ from baselines.center_of_mass import learned_center_of_mass
 from baselines.ks_ekf import corrections, initial_state
 from baselines.ks_ekf.corrections import MeasurementResidual
 from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
+from baselines.ks_ekf.filter_settings import filter_settings
 from baselines.ks_ekf.filter_state import (
     CENTER_ERRORS,
     FIXED_ERROR_COUNT,
@@ -26,26 +27,16 @@ from baselines.ks_ekf.filter_state import (
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.record import KsEkfRecord
-from baselines.ks_ekf.rest_detection import (
-    REST_WINDOW_S,
-    RecentMeasurements,
-    RestMeans,
-    detect_rest,
-)
+from baselines.ks_ekf.rest_detection import RecentMeasurements, RestMeans, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S, TimedLengths, due, reading_of
-from baselines.length_readings import LengthReadings
+from baselines.length_readings import LengthReadings, reading_tolerances
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.robot import Robot
 
-FILTER_LAG_MAX_S = 0.2  # behind now, even where no lengths come
 DOUBT_FACTOR = 2.0  # by which standard deviations grow where no lengths fit any more
-SLOPE_HALF_WIDTH_S = 0.0125  # over which the angular rate gives its derivative: a few samples
-INITIAL_SWAY_M = 0.01  # root mean square at the first measurement, which is taken at rest
-REJECT_TIME_S = 0.1  # lengths that misfit longer count as far as the gate allows: the model errs
-REST_USE_PERIOD_S = 0.5  # between two uses of a rest, whose samples overlap and say little new
 
 
 class KsEkf:
@@ -55,11 +46,12 @@ class KsEkf:
 
     def __init__(self, robot: Robot, settings: KsEkfSettings) -> None:
         self._robot = robot
-        self._settings = settings
+        self._settings = filter_settings(robot, settings)
+        self._tolerances = reading_tolerances(robot, settings.length_noise)
         self._lead = robot.length_delay or 0.0
         self._kalman = ErrorFilter(FIXED_ERROR_COUNT + robot.n, settings.gate)
         self._motion = InertialMotion(
-            robot.gravity, settings, FIXED_ERROR_COUNT + robot.n, self._kalman
+            robot.gravity, self._settings, FIXED_ERROR_COUNT + robot.n, self._kalman
         )
 
     @classmethod
@@ -82,13 +74,13 @@ class KsEkf:
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             reading=first,
-            window=nothing.extended([first], samples, REST_WINDOW_S),
-            encoders=LengthReadings.first(first.time, first.lengths),
+            window=nothing.extended([first], samples, self._settings.rest_window),
+            encoders=LengthReadings.first(first.time, first.lengths, self._tolerances),
             slid=np.zeros(self._robot.n),
             innovations=no_innovations(),
             updates=1,
         )
-        record = self._place(record, first, INITIAL_SWAY_M)
+        record = self._place(record, first, self._settings.initial_sway)
         if len(samples) and not record.failures:
             record = self._carry(record)
             quiet = RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
@@ -139,7 +131,7 @@ class KsEkf:
             record,
             reading=max((record.reading, *good), key=lambda reading: reading.time),
             waiting=waiting,
-            window=record.window.extended(good, samples, REST_WINDOW_S),
+            window=record.window.extended(good, samples, self._settings.rest_window),
             innovations=no_innovations(),
             resting=False,
             updates=record.updates + 1,
@@ -171,7 +163,8 @@ class KsEkf:
         carried = record.state.inertial and self._is_carried(record.state, now)
         if not beyond.any() or (carried and not lasts):
             return record
-        return replace(record, state=record.state.slipped(beyond != 0.0), slid=record.encoders.slid)
+        state = record.state.slipped(beyond != 0.0, self._tolerances.slip_deviation)
+        return replace(record, state=state, slid=record.encoders.slid)
 
     def _is_carried(self, state: KsEkfState, now: float) -> bool:
         """Return whether inertial samples reach up to now."""
@@ -181,7 +174,7 @@ class KsEkf:
     def _filter(self, record: KsEkfRecord, ready: list[TimedLengths], now: float) -> KsEkfRecord:
         """Go from lengths to lengths, as far as their time has come."""
         if not ready:
-            until = max(record.state.time, now - FILTER_LAG_MAX_S)
+            until = max(record.state.time, now - self._settings.lag_max)
             return replace(record, state=self._motion.advance(record.state, until))
         for reading in ready:
             if record.state.inertial:
@@ -194,7 +187,7 @@ class KsEkf:
         quiet = detect_rest(record.window, record.state.rate_bias, self._settings)
         record = replace(record, resting=quiet is not None)
         record = self._use_lengths(record, reading)
-        again = reading.time - record.rest_used >= REST_USE_PERIOD_S
+        again = reading.time - record.rest_used >= self._settings.rest_use_period
         if quiet is not None and again and record.misfit_since is None:
             record = self._use_stillness(record, quiet)
             record = self._use_equilibrium(record, reading)
@@ -219,7 +212,7 @@ class KsEkf:
             state = record.state.injected(correction.error, correction.covariance)
             return replace(record, state=state, misfit_since=None)
         since = record.misfit_since
-        if since is not None and reading.time - since >= REJECT_TIME_S:
+        if since is not None and reading.time - since >= self._settings.reject_time:
             correction = self._correct(record.state, evidence, bounded=True)
             state = record.state.injected(correction.error, correction.covariance)
             record = replace(record, state=state)
@@ -248,7 +241,7 @@ class KsEkf:
         """Compare the lengths with the state; None where they need a pose of rest but have none."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
-            turning = slope(record.window.samples, state.time, SLOPE_HALF_WIDTH_S)
+            turning = slope(record.window.samples, state.time, settings.slope_half_width)
             tight = corrections.of_lengths(
                 self._robot, state, reading.lengths, turning, record.swing, settings
             )
@@ -258,7 +251,7 @@ class KsEkf:
             return record, None
         noise = corrections.sway_noise(rest, settings)
         if record.resting:
-            noise = corrections.rest_noise()
+            noise = corrections.rest_noise(self._settings)
         return record, corrections.of_rest_pose(state, rest, noise, settings)
 
     def _use_stillness(self, record: KsEkfRecord, quiet: RestMeans) -> KsEkfRecord:
@@ -274,7 +267,7 @@ class KsEkf:
         record, rest = self._rest(record, reading)
         if rest is None:
             return replace(record, failures=record.failures + 1)
-        noise = corrections.rest_noise()
+        noise = corrections.rest_noise(self._settings)
         evidence = corrections.of_rest_pose(record.state, rest, noise, self._settings)
         return self._use_rest(record, evidence)
 
@@ -325,7 +318,8 @@ class KsEkf:
         """Solve for rest on the lengths, less the errors that the state knows."""
         state = record.state
         lengths = reading.lengths - state.length_bias
-        rest = find_rest(self._robot, lengths, state.center, state.solution)
+        step = self._settings.length_step
+        rest = find_rest(self._robot, lengths, state.center, state.solution, step)
         solution = None if rest is None else rest.solution
         return replace(record, state=replace(state, solution=solution)), rest
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
@@ -134,10 +133,13 @@ class KsEkfState:
             covariance=0.5 * (moved + moved.T),
         )
 
-    def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
-        """Return the state with the lengths of cables (n,) whose encoders slipped less certain."""
+    def slipped(self, which: NDArray[np.bool_], deviation: float) -> KsEkfState:
+        """Return the state with the lengths of cables whose encoders slipped less certain.
+
+        Args:
+            which: Cables, shape (n,).
+            deviation: Of the estimated slip [m].
+        """
         covariance = self.covariance.copy()
-        covariance[LENGTH_ERRORS, LENGTH_ERRORS] += np.diag(
-            np.where(which, SLIP_DEVIATION_M**2, 0.0)
-        )
+        covariance[LENGTH_ERRORS, LENGTH_ERRORS] += np.diag(np.where(which, deviation**2, 0.0))
         return replace(self, covariance=covariance)

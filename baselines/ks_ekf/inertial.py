@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from baselines.ks_ekf.error_filter import ErrorFilter
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import (
     FORCE_BIAS_ERRORS,
     LENGTH_ERRORS,
@@ -29,16 +30,16 @@ from baselines.ks_ekf.filter_state import (
     InertialSamples,
     KsEkfState,
 )
-from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import cross_matrix
 from carosac_toolkit.loop.values import Measurement
 
 MINUTE_S = 60.0
+SLOPE_INTERVALS_MIN = 1.5  # to both sides: three samples
 
 
-def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
+def samples_of(measurement: Measurement, settings: FilterSettings) -> InertialSamples:
     """Return the inertial samples of a measurement, if any, in the axes of the platform."""
     imu = measurement.imu
     if imu is None:
@@ -56,7 +57,7 @@ class InertialMotion:
     """Carries a state along inertial samples."""
 
     def __init__(
-        self, gravity: float, settings: KsEkfSettings, size: int, kalman: ErrorFilter
+        self, gravity: float, settings: FilterSettings, size: int, kalman: ErrorFilter
     ) -> None:
         """Note the noise.
 
@@ -146,8 +147,11 @@ def slope(samples: InertialSamples, time: float, reach: float) -> Array:
     Args:
         samples: Also those later than the time.
         time: [s].
-        reach: To both sides [s].
+        reach: To both sides [s]; farther where samples are so rare that they would not be three.
     """
+    if len(samples) > 1:
+        interval = float(samples.time[-1] - samples.time[0]) / (len(samples) - 1)
+        reach = max(reach, SLOPE_INTERVALS_MIN * interval)
     near = np.abs(samples.time - time) <= reach
     offset = samples.time[near] - samples.time[near].mean() if near.any() else np.zeros(0)
     spread = float(offset @ offset)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from baselines.ks_ekf.corrections import rest_noise
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import (
     CENTER_ERRORS,
     FIXED_ERROR_COUNT,
@@ -20,23 +21,17 @@ from baselines.ks_ekf.filter_state import (
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
 from baselines.ks_ekf.rest_pose import RestPose
-from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-LOST_DEVIATIONS = (
-    1.0,
-    0.5,
-    1.0,
-)  # position [m], rotation [rad], velocity [m/s] where no pose was found
 
-
-def prior(robot: Robot, settings: KsEkfSettings) -> Array:
+def prior(robot: Robot, settings: FilterSettings) -> Array:
     """Return the variances of the errors before any measurement; pose and velocity unknown."""
     n = robot.n
     spread = np.zeros(FIXED_ERROR_COUNT + n)
-    spread[:9] = np.repeat(LOST_DEVIATIONS, 3)
+    lost = settings.lost_position, settings.lost_rotation, settings.lost_speed
+    spread[:9] = np.repeat(lost, 3)
     spread[RATE_BIAS_ERRORS] = settings.angular_rate_bias
     spread[FORCE_BIAS_ERRORS] = settings.specific_force_bias
     spread[CENTER_ERRORS] = settings.center_of_mass_prior
@@ -44,9 +39,9 @@ def prior(robot: Robot, settings: KsEkfSettings) -> Array:
     return np.asarray(spread**2)
 
 
-def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
+def blank(robot: Robot, settings: FilterSettings, time: float) -> KsEkfState:
     """Return a state at home of which only the priors are known."""
-    lost = np.repeat((LOST_DEVIATIONS[2], LOST_DEVIATIONS[1]), 3)
+    lost = np.repeat((settings.lost_speed, settings.lost_spin), 3)
     return KsEkfState(
         time=time,
         position=robot.home_position,
@@ -64,13 +59,13 @@ def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
     )
 
 
-def forgotten(robot: Robot, settings: KsEkfSettings, state: KsEkfState) -> KsEkfState:
+def forgotten(robot: Robot, settings: FilterSettings, state: KsEkfState) -> KsEkfState:
     """Return an unknown state at the pose and with the samples of another one."""
     nothing, kept = blank(robot, settings, state.time), released(state, settings)
     return replace(nothing, position=kept.position, rotation=kept.rotation, samples=state.samples)
 
 
-def doubted(robot: Robot, settings: KsEkfSettings, state: KsEkfState, factor: float) -> KsEkfState:
+def doubted(robot: Robot, settings: FilterSettings, state: KsEkfState, factor: float) -> KsEkfState:
     """Return the state with larger deviations; constants are never worse than their priors."""
     first = prior(robot, settings)
     growth = np.full(len(first), factor)
@@ -81,7 +76,7 @@ def doubted(robot: Robot, settings: KsEkfSettings, state: KsEkfState, factor: fl
 
 
 def placed(
-    state: KsEkfState, rest: RestPose, reading: TimedLengths, sway: float, settings: KsEkfSettings
+    state: KsEkfState, rest: RestPose, reading: TimedLengths, sway: float, settings: FilterSettings
 ) -> KsEkfState:
     """Put a state at a pose of rest; biases and what is known of them stay.
 
@@ -102,7 +97,8 @@ def placed(
     effect[:, CENTER_ERRORS.start - 9 : CENTER_ERRORS.stop - 9] = rest.per_center
     effect[:, LENGTH_ERRORS.start - 9 :] = -rest.per_length
     energy = rest.energy(sway)
-    least = rest_noise()
+    least = rest_noise(settings)
+    slow = np.repeat(np.square((settings.rest_speed_error, settings.rest_spin_error)), 3)
     noise = settings.length_noise**2 * rest.per_length @ rest.per_length.T
     covariance = np.zeros((size, size))
     covariance[unknown, unknown] = known
@@ -111,7 +107,7 @@ def placed(
     covariance[POSE_ERRORS, POSE_ERRORS] = (
         effect @ known @ effect.T + energy * rest.softness + noise + least
     )
-    twist_covariance = energy * rest.lightness + least
+    twist_covariance = energy * rest.lightness + np.diag(slow)
     covariance[VELOCITY_ERRORS, VELOCITY_ERRORS] = twist_covariance[:3, :3]
     twist = rest.per_length @ reading.rates
     return replace(
@@ -128,7 +124,7 @@ def placed(
     )
 
 
-def lost(robot: Robot, settings: KsEkfSettings, state: KsEkfState, time: float) -> KsEkfState:
+def lost(robot: Robot, settings: FilterSettings, state: KsEkfState, time: float) -> KsEkfState:
     """Return the state at the platform's origin, with pose and motion unknown."""
     nothing, state = blank(robot, settings, time), released(state, settings)
     covariance = nothing.covariance.copy()
@@ -145,14 +141,14 @@ def lost(robot: Robot, settings: KsEkfSettings, state: KsEkfState, time: float) 
     )
 
 
-def inertial(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
+def inertial(state: KsEkfState, settings: FilterSettings) -> KsEkfState:
     """Let inertial samples carry a state that sits at the platform's origin."""
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
     moved = moved_to_imu(state, rate, settings.imu_position)
     return replace(moved, inertial=True, samples=state.samples.after(state.time))
 
 
-def released(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
+def released(state: KsEkfState, settings: FilterSettings) -> KsEkfState:
     """Return the state at the platform's origin, no longer carried by inertial samples."""
     if not state.inertial:
         return state

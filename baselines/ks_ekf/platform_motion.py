@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import (
     POSE_ERRORS,
     POSITION_ERRORS,
@@ -14,7 +15,6 @@ from baselines.ks_ekf.filter_state import (
     VELOCITY_ERRORS,
     KsEkfState,
 )
-from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import cross_matrix
 
@@ -32,7 +32,7 @@ def pose_map(state: KsEkfState, lever: Array) -> Array:
     return matrix
 
 
-def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
+def carried(state: KsEkfState, settings: FilterSettings) -> tuple[Array, Array]:
     """Return the twist of the origin, and the covariance of pose and twist, with an IMU.
 
     Args:

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.ks_ekf.filter_settings import FilterSettings
 from baselines.ks_ekf.filter_state import NO_SAMPLES, InertialSamples
-from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
-
-REST_WINDOW_S = 1.0  # quiet for so long is at rest: shorter ones see the turning point of a sway
-REST_LENGTH_RANGE_MAX_M = 3e-3  # of a length in the window: encoder noise and creep of a held winch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,19 +51,19 @@ class RestMeans:
 
 
 def detect_rest(
-    window: RecentMeasurements, rate_bias: Array, settings: KsEkfSettings
+    window: RecentMeasurements, rate_bias: Array, settings: FilterSettings
 ) -> RestMeans | None:
     """Decide whether the platform rests; None where it does not, or the window is too short.
 
     Without an IMU nothing is known of sway, and no rest is ever detected.
 
     Args:
-        window: Of at least `REST_WINDOW_S`.
+        window: Of at least the time in which rest shows.
         rate_bias: Of the gyroscope, axes of P [rad/s], shape (3,).
         settings: The thresholds.
     """
     samples = window.samples
-    span = REST_WINDOW_S
+    span = settings.rest_window
     short = 0.02  # of the span: the sampling of both
     if len(samples) < 2 or window.time[-1] - window.time[0] < (1.0 - short) * span:
         return None
@@ -75,6 +72,8 @@ def detect_rest(
     spread = samples.force.std(axis=0).max()
     rate = np.sqrt(((samples.rate - rate_bias) ** 2).sum(axis=1).mean())
     moved = np.ptp(window.lengths, axis=0).max()
-    if moved > REST_LENGTH_RANGE_MAX_M or rate > settings.rest_rate or spread > settings.rest_force:
+    if moved > settings.rest_length_range:
+        return None
+    if rate > settings.rest_rate or spread > settings.rest_force:
         return None
     return RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))

@@ -21,10 +21,6 @@ from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-LENGTH_STEP_M = 1e-3  # for derivatives by differences
-REST_POSITION_ERROR_M = 3e-3  # model error of the equilibrium, per axis, where the platform rests
-REST_ROTATION_ERROR_RAD = 5e-3
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RestPose:
@@ -56,26 +52,33 @@ class RestPose:
 
 
 def find_rest(
-    robot: Robot, lengths: Array, center: Array, guess: Equilibrium | None
+    robot: Robot, lengths: Array, center: Array, guess: Equilibrium | None, step: float
 ) -> RestPose | None:
-    """Solve for rest at lengths (n,) with the centre of mass shifted by `center` in P [m], (3,).
+    """Solve for rest at lengths with a shifted centre of mass.
+
+    Args:
+        robot: Nominal robot, n cables.
+        lengths: [m], shape (n,).
+        center: Shift of the centre of mass in P [m], shape (3,).
+        guess: Where to start, or None.
+        step: For derivatives by differences [m].
 
     Returns:
         None where there is no stable equilibrium.
     """
     n = robot.n
-    if (lengths <= 2.0 * LENGTH_STEP_M).any() or not np.isfinite(lengths).all():
+    if (lengths <= 2.0 * step).any() or not np.isfinite(lengths).all():
         return None
-    rows = np.concatenate([lengths[None], lengths + LENGTH_STEP_M * np.eye(n)])
+    rows = np.concatenate([lengths[None], lengths + step * np.eye(n)])
     rests = forward_kinematics(robot, rows, guess=guess)
     if guess is not None and not (rests.converged & rests.stable).all():
         rests = forward_kinematics(robot, rows)
     if not (rests.converged & rests.stable).all():
         return None
-    return _with_derivatives(robot, rests, center)
+    return _with_derivatives(robot, rests, center, step)
 
 
-def _with_derivatives(robot: Robot, rests: Equilibrium, center: Array) -> RestPose:
+def _with_derivatives(robot: Robot, rests: Equilibrium, center: Array, step: float) -> RestPose:
     """Return the first row's rest with derivatives from the others, and its shifted centre."""
     import pinocchio
 
@@ -92,7 +95,7 @@ def _with_derivatives(robot: Robot, rests: Equilibrium, center: Array) -> RestPo
         position=rests.position[0] + lean[:3],
         rotation=pinocchio.exp3(lean[3:]) @ rotation,
         tension=rests.tension[0],
-        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / LENGTH_STEP_M,
+        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / step,
         per_center=per_center,
         softness=0.5 * (softness + softness.T),
         lightness=np.linalg.inv(mass_matrix(robot, rests.rotation[:1], at)[0]),

@@ -10,6 +10,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, check_rotations, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_fraction
+from carosac_toolkit.base.scaled import Scaled
 
 Coupling = Literal["loose", "tight"]
 FIELDS_CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
@@ -19,6 +20,9 @@ FIELDS_MAY_BE_ZERO = ("tension_change", "center_of_mass_prior", "bias_walk", "le
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KsEkfSettings:
     """Settings of `KsEkf`; noises and priors are one standard deviation.
+
+    Defaults are those of the robot ``carosac`` and of the simulated sensors. Noise and bias of IMU
+    and encoders are the same for every robot; all others that have a unit scale with the robot.
 
     Attributes:
         coupling: What the lengths are to the filter: themselves the measurement (``"tight"``), or
@@ -36,7 +40,7 @@ class KsEkfSettings:
         length_noise: Of a length [m].
         tension_change: What adds to that, as a share of what motion changes them by: a cable that
             swings itself does not sag as one at rest under the same tension.
-        length_bias: Prior of the constant error of each length [m].
+        length_bias: Prior of the constant error of each length, that of its encoder [m].
         length_walk: By how much that error walks in a minute [m]: exit points that are off change
             it as the platform moves. 0: it is constant, as that of an encoder is.
         center_of_mass_prior: By how much the centre of mass may be elsewhere, per axis [m].
@@ -61,20 +65,20 @@ class KsEkfSettings:
     angular_rate_bias: float = 5e-3
     specific_force_bias: float = 0.05
     bias_walk: float = 0.02
-    imu_gap: float = 0.05
-    rate_change: float = 10.0
-    force_change: float = 40.0
+    imu_gap: float = Scaled(0.05, "s")
+    rate_change: float = Scaled(10.0, "rad/s^2")
+    force_change: float = Scaled(40.0, "m/s^3")
     length_noise: float = 0.3e-3
     tension_change: float = 0.5
     length_bias: float = 5e-3
-    length_walk: float = 0.01
-    center_of_mass_prior: float = 0.01
+    length_walk: float = Scaled(0.01, "m/sqrt(s)")
+    center_of_mass_prior: float = Scaled(0.01, "m")
     gate: float = 0.9999
-    reading_jump: float = 0.05
-    misfit_time: float = 1.5
-    rest_rate: float = 0.02
-    rest_force: float = 0.1
-    sway: float = 0.15
+    reading_jump: float = Scaled(0.05, "m")
+    misfit_time: float = Scaled(1.5, "s")
+    rest_rate: float = Scaled(0.02, "rad/s")
+    rest_force: float = Scaled(0.1, "m/s^2")
+    sway: float = Scaled(0.15, "m")
 
     def __post_init__(self) -> None:
         """Refuse unknown couplings and numbers out of range; freeze the mounting of the IMU."""

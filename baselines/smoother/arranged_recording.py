@@ -12,20 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.measurement_models import ImuMean
-from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
+from baselines.length_readings import (
+    READING_INTERVAL_MIN_S,
+    LengthReadings,
+    reading_tolerances,
+)
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-POSE_GAP_MAX_S = 0.5  # between two poses, to interpolate
-IMU_STEP_MAX_S = 0.01  # of the step that ends at an inertial sample
-IMU_GROUP_TIME_S = 0.01  # inertial samples within it are taken as one, at their mean time
+POSE_GAP_MAX = Scaled(0.5, "s")  # between two poses, to interpolate
+IMU_STEP_MAX = Scaled(0.01, "s")  # of the step that ends at an inertial sample
+# Inertial samples within it are taken as one, at their mean time.
+IMU_GROUP_TIME = Scaled(0.01, "s")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +51,7 @@ class ArrangedRecording:
         poses: Measured, of the key frames where they are used: position (3,) and rotation (3, 3).
         used: Which poses of the recording are used, shape (M,).
         outliers: Length samples that were not believed.
+        pose_gap: Longest time between two poses that are interpolated [s].
     """
 
     recording: Recording
@@ -57,6 +65,7 @@ class ArrangedRecording:
     poses: dict[int, tuple[Array, Array]]
     used: NDArray[np.bool_]
     outliers: int
+    pose_gap: float
 
     def reading(self, time: float, delay: float) -> Array:
         """Return the length reading that counts at a time after a delay [s], in m, shape (n,)."""
@@ -85,7 +94,7 @@ class ArrangedRecording:
                 position=poses.position[rows], rotation=poses.rotation[rows], time=poses.time[rows]
             )
         else:
-            between = poses.at(when, gap_max=POSE_GAP_MAX_S)
+            between = poses.at(when, gap_max=self.pose_gap)
             keys = self.samples[start:stop][between.valid]
             measured = Pose(
                 position=between.pose.position[between.valid],
@@ -113,16 +122,16 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
     kept, outliers = _believed(run, robot, settings)
     first, last = float(run.time[0]), float(run.time[-1])
     used = _used(run, settings)
-    groups = _groups(run, settings, first, last)
+    ratios = Scales(robot).ratios
+    groups = _groups(run, settings, first, last, IMU_GROUP_TIME.of(ratios))
     stops = [run.time]
     if run.poses is not None:
         when = run.poses.time if used.any() else run.poses.time[:0]
         stops.append(when[(when >= first) & (when <= last)])
     stops.append(np.array([when for when, _ in groups]))
     time = _apart(np.sort(np.concatenate(stops)))
-    begins = [
-        when - IMU_STEP_MAX_S for when, _ in groups if when - _previous(time, when) > IMU_STEP_MAX_S
-    ]
+    step = IMU_STEP_MAX.of(ratios)
+    begins = [when - step for when, _ in groups if when - _previous(time, when) > step]
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
     known = settings.dynamics.delay
     known = robot.length_delay if known is None else known
@@ -138,6 +147,7 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
         poses=_poses(run, used, time),
         used=used,
         outliers=outliers,
+        pose_gap=POSE_GAP_MAX.of(ratios),
     )
 
 
@@ -157,7 +167,8 @@ def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple
 
     What encoders slipped by is taken off.
     """
-    readings = LengthReadings.first(float(run.time[0]), run.unstrained_length[0])
+    tolerances = reading_tolerances(robot, settings.dynamics.encoder_noise)
+    readings = LengthReadings.first(float(run.time[0]), run.unstrained_length[0], tolerances)
     keep = np.ones(len(run.time), dtype=np.bool_)
     lengths = run.unstrained_length.copy()
     jump = settings.dynamics.reading_jump
@@ -181,9 +192,9 @@ def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
 
 
 def _groups(
-    run: Recording, settings: SmootherSettings, first: float, last: float
+    run: Recording, settings: SmootherSettings, first: float, last: float, span: float
 ) -> list[tuple[float, ImuMean]]:
-    """Group inertial samples, each group with its mean time [s]."""
+    """Group inertial samples within a time [s], each group with its mean time [s]."""
     if run.imu is None or not settings.imu:
         return []
     inside = (run.imu.time > first + READING_INTERVAL_MIN_S) & (run.imu.time <= last)
@@ -192,7 +203,7 @@ def _groups(
     groups = []
     start = 0
     for k in range(1, len(time) + 1):
-        if k == len(time) or time[k] - time[start] > IMU_GROUP_TIME_S - READING_INTERVAL_MIN_S:
+        if k == len(time) or time[k] - time[start] > span - READING_INTERVAL_MIN_S:
             felt = ImuMean(values=values[start:k].mean(axis=0), samples=k - start)
             groups.append((float(time[start:k].mean()), felt))
             start = k

@@ -17,9 +17,18 @@ from baselines.dynamic_estimator.model import DynamicModel
 from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 
-CONSTANT_NOISE_RATIO = 1e-4  # of the scale of an error, per root of a second
-LENGTH_SEGMENT_MAX_S = 0.05  # over which lengths go straight: a twentieth of a quick sway
+CONSTANT_NOISE_RATIO = Scaled(1e-4, "1/sqrt(s)")  # of the scale of an error
+# Over which lengths go straight: a twentieth of a quick sway.
+LENGTH_SEGMENT_MAX = Scaled(0.05, "s")
+SWAY_SCALE = Scaled(0.01, "m")  # of the errors of the centre of mass
+SWAY_RATE_SCALE = Scaled(3.0, "1/s")  # of the errors of its speed, over those
+# Of errors that the settings take as known.
+KNOWN_CENTER_SCALE, KNOWN_LENGTH_SCALE = Scaled(0.01, "m"), Scaled(7e-3, "m")
+KNOWN_RATE_SCALE, KNOWN_FORCE_SCALE = Scaled(5e-3, "rad/s"), Scaled(0.05, "m/s^2")
+KNOWN_WIND_SCALE, KNOWN_LOG_MASS_SCALE = Scaled(1.0, "N"), 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +82,9 @@ class ForwardModel:
         self._measured = measured
         self._settings = settings
         self._sensors = MeasurementModels(model, settings.dynamics)
-        self._floor = (CONSTANT_NOISE_RATIO * scales(model, settings)[:-1]) ** 2
+        ratios = Scales(model.robot).ratios
+        self._segment = LENGTH_SEGMENT_MAX.of(ratios)
+        self._floor = (CONSTANT_NOISE_RATIO.of(ratios) * scales(model, settings)[:-1]) ** 2
 
     def run(
         self, rest: DynamicFilterState, wanted: list[DynamicFilterState] | None, delay: float
@@ -118,7 +129,7 @@ class ForwardModel:
         """Move a state to the next key frame."""
         size = self._model.errors.size
         carry, noise, imu, expected = np.eye(size), np.zeros((size, size)), None, None
-        count = max(1, int(np.ceil((end - state.time) / LENGTH_SEGMENT_MAX_S - 1e-6)))
+        count = max(1, int(np.ceil((end - state.time) / self._segment - 1e-6)))
         stops = np.linspace(state.time, end, count + 1)
         for start, stop in pairwise(stops.tolist()):
             reading = self._measured.reading(start, delay), self._measured.reading(stop, delay)
@@ -213,12 +224,18 @@ def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
 def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
     """Return the scales in which all errors are of order one, shape (size + 1,)."""
     where: Errors = model.errors
-    s = settings.dynamics
-    scale = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
-    scale[where.speed] *= 3.0
-    scale[where.wind] = s.wind_force or 1.0
-    scale[where.mass] = s.mass or 0.03
-    scale[where.center] = s.center_of_mass or 0.01
-    scale[where.bias] = s.length_bias or 7e-3
-    scale[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
+    s, ratios = settings.dynamics, Scales(model.robot).ratios
+    scale = np.full(where.size, SWAY_SCALE.of(ratios) * np.sqrt(model.robot.mass))
+    scale[where.speed] *= SWAY_RATE_SCALE.of(ratios)
+    scale[where.wind] = s.wind_force or KNOWN_WIND_SCALE.of(ratios)
+    scale[where.mass] = s.mass or KNOWN_LOG_MASS_SCALE
+    scale[where.center] = s.center_of_mass or KNOWN_CENTER_SCALE.of(ratios)
+    scale[where.bias] = s.bias_deviation or KNOWN_LENGTH_SCALE.of(ratios)
+    scale[where.imu] = np.repeat(
+        [
+            s.angular_rate_bias or KNOWN_RATE_SCALE.of(ratios),
+            s.specific_force_bias or KNOWN_FORCE_SCALE.of(ratios),
+        ],
+        3,
+    )
     return np.append(scale, settings.delay)

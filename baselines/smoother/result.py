@@ -100,7 +100,7 @@ class Smoothed:
         pairs = {
             "mass": (self.mass_sigma, known.mass * self.robot.mass),
             "center_of_mass": (self.center_sigma.max(), known.center_of_mass),
-            "length_bias": (np.sqrt((self.length_bias_sigma**2).mean()), known.length_bias),
+            "length_bias": (np.sqrt((self.length_bias_sigma**2).mean()), known.bias_deviation),
             "wind": (self.wind_sigma.max(), known.wind_force),
             "delay": (self.delay_sigma, self.settings.delay),
         }

@@ -17,10 +17,12 @@ from baselines.smoother.error_graph import ErrorGraph, GraphSolution
 from baselines.smoother.forward_pass import ForwardModel, ForwardPass, scales, shifted
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
-from baselines.smoother.settings import SmootherSettings
+from baselines.smoother.settings import SmootherSettings, smoother_settings_for
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_misfits
@@ -30,7 +32,9 @@ WEIGHT_TOLERANCE = 0.05
 CONSTANT_CHANGE_DEVIATIONS = 0.3
 STEP_RATIO_MIN = 0.125  # of the correction of a pass that goes into the next one
 HUBER_DEVIATIONS = 4.0  # from which on a pose pulls no more: beyond lie gross errors, not noise
-IMU_STRETCH_DAMPING_S = 0.04  # with an IMU, at least: the phase of cable vibrations is unknown
+# With an IMU, at least: the phase of cable vibrations is unknown.
+IMU_STRETCH_DAMPING = Scaled(0.04, "s")
+TURNED_LEVER = Scaled(1.0, "m")  # at which a rotation counts as a move
 
 PassReport = Callable[[int, float], None]
 
@@ -62,7 +66,7 @@ def smooth(
         InvalidField: The recording has not what is needed.
         CarosacError: The robot cannot hang on the first lengths, or has no finite motion.
     """
-    chosen = settings or SmootherSettings()
+    chosen = smoother_settings_for(robot, settings or SmootherSettings())
     end = len(recording.time) if stop is None else stop
     if not 0 <= start < end <= len(recording.time):
         allowed = f"0 <= start < stop <= {len(recording.time)}, the number of samples"
@@ -81,7 +85,10 @@ def _settled(
 ) -> _LastPass:
     """Go through the recording until nothing changes; see `smooth`."""
     rest = _rest(measured, robot, chosen)
-    damping = max(chosen.dynamics.stretch_damping, IMU_STRETCH_DAMPING_S if measured.felt else 0.0)
+    ratios = Scales(robot).ratios
+    damping = chosen.dynamics.stretch_damping
+    if measured.felt:
+        damping = max(damping, IMU_STRETCH_DAMPING.of(ratios))
     model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping))
     forward = ForwardModel(model, measured, chosen)
     start_covariance = np.pad(rest.covariance, (0, 1))
@@ -95,7 +102,7 @@ def _settled(
         change, turned = _change(passed, solution)
         if report is not None:
             report(passes, change)
-        largest = max(change, turned)
+        largest = max(change, TURNED_LEVER.of(ratios) * turned)
         settled = largest <= chosen.tolerance and _still(solution, graph)
         if settled or passes == chosen.iterations:
             break
@@ -209,7 +216,7 @@ def _result(
     last = states[-1]
     sigma = np.zeros(last.errors.size + 1)
     sigma[graph.constant] = np.sqrt(np.diag(last_pass.solution.constant))
-    noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise, float(sigma[-1])
+    noise = settings.dynamics.stretch_deviation, settings.dynamics.rate_noise, float(sigma[-1])
     estimate, platform = _poses(states, measured.recording.time, noise)
     wanted = compared = scores = None
     if withheld is not None:

@@ -18,6 +18,7 @@ from carosac_toolkit.robot.robot import Robot
 # Of the robot `carosac`, on which defaults are stated (`carosac_toolkit.base.scaled.Scaled`).
 CAROSAC_CABLE_M = 9.141812876044355
 CAROSAC_MASS_KG = 23.655
+CAROSAC_WORKSPACE_M = 3.9999999999999996
 CAROSAC_GRAVITY_M_PER_S2 = 9.81
 
 

@@ -22,9 +22,21 @@ from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
 from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.scales import CAROSAC_GRAVITY_M_PER_S2, CAROSAC_WORKSPACE_M, Scales
+from carosac_toolkit.robot.robot import Robot
 
-CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass [1/s]
+CAROSAC_CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass
 NodelessCables = Literal["catenary", "straight"]
+
+
+def cable_drag_of(robot: Robot) -> float:
+    """Return the default air drag of the cables per mass [1/s]: less for a larger robot.
+
+    It goes by the workspace, which is the same for a robot and all plants drawn from it.
+    """
+    length = Scales(robot).workspace / CAROSAC_WORKSPACE_M
+    gravity = robot.gravity / CAROSAC_GRAVITY_M_PER_S2
+    return float(CAROSAC_CABLE_DRAG_PER_S / np.sqrt(length / gravity))
 
 
 def place_worlds(

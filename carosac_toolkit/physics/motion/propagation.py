@@ -19,7 +19,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import dynamics_kernels
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
 from carosac_toolkit.robot.robot import Robot
@@ -77,7 +77,7 @@ class Propagation:
         size: int,
         *,
         time_step: float = PROPAGATION_STEP_S,
-        cable_drag: float = CABLE_DRAG_PER_S,
+        cable_drag: float | None = None,
         device: str = "cpu",
     ) -> None:
         """Allocate.
@@ -86,7 +86,8 @@ class Propagation:
             robot: Robot description; bodies may be changed later, one for each motion.
             size: Number of motions B.
             time_step: Longest time step [s].
-            cable_drag: Air drag of the cables per mass [1/s].
+            cable_drag: Air drag of the cables per mass [1/s]; None: 0.5 on ``carosac``, scales with
+                the robot.
             device: Warp device.
         """
         warp_setup.load(dynamics_kernels, device)
@@ -95,8 +96,9 @@ class Propagation:
         self._plants = upload_plants(Fleet([robot] * size), device, WinchSettings(), 0.0, 1.0)
         self._bodies = np.repeat(rigid_body_record(robot)[None], size)
         self._worlds = allocate_worlds(size, robot.n, device, np.zeros(size, dtype=np.int32))
+        drag = cable_drag_of(robot) if cable_drag is None else cable_drag
         self._dynamics = NodelessDynamics(
-            self._plants, self._worlds, size, robot.n, device, "catenary", cable_drag
+            self._plants, self._worlds, size, robot.n, device, "catenary", drag
         )
         self._freed = _allocate(size, robot.n, device)
         self._buffers = Buffers(device, {})
