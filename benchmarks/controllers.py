@@ -28,6 +28,7 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.run_case import Truth
 from carosac_toolkit.trajectories import Trajectory
 
@@ -130,7 +131,7 @@ def make(task: Task, robot: Robot, path: Trajectory, **options: Any) -> tuple[An
         kind.Settings(), suite=SUITE, period=controller.period, start_position=start,
         **{"wind_force": force} | options,
     )  # fmt: skip
-    driver = kind.build(plant_of(task, robot), settings, seed=task.seed)
+    driver = kind.build(plant_of(task, robot), settled(settings, robot), seed=task.seed)
     if task.estimator == "truth":
         return driver, Truth(driver), controller
     return driver, plugins.load("estimators", task.estimator).build(robot), controller

@@ -22,6 +22,7 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement, State
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
 from sim_warp.driver import SimDriver, SimDriverSettings
 
@@ -143,7 +144,7 @@ def record(case: Case) -> Heard:
         suite=INERTIAL, period=controller.period, start_position=(x, y, z),
         wind_force=windy.wind_force, wind_time=windy.wind_time,
     )  # fmt: skip
-    driver = SimDriver.build(plant, settings, seed=case.seed)
+    driver = SimDriver.build(plant, settled(settings, robot), seed=case.seed)
     recorder = Recorder(driver, robot)
     duration = LONG if case.kind == "long" else path.duration + 3.0
     run(driver, recorder, controller, path, duration=duration)

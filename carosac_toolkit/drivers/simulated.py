@@ -22,6 +22,7 @@ from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.values import Command, Measurement, State
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
+from carosac_toolkit.safety.settled import settled
 
 __all__ = ["Plant", "SimulatedDriver", "SimulatedSettings"]
 
@@ -77,7 +78,7 @@ class SimulatedDriver:
     ) -> None:
         """Take a plant; `seed`, one or one for each robot, draws bias and noise of the sensors."""
         self._plant = plant
-        self._settings = settings
+        self._settings = settings = settled(settings, plant.robot)
         self._seed = seed
         self._connected = False
         self._ticks = TickSchedule(settings.period)

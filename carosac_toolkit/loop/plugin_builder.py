@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +20,7 @@ NO_SETTINGS: Mapping[str, Any] = MappingProxyType({})
 def build_plugin(
     plugin: Any, robot: Robot | Sequence[Robot], *, where: str,
     asked: Mapping[str, Any] = NO_SETTINGS, offered: Mapping[str, Any] = NO_SETTINGS, seed: int = 0,
-    seeds: Sequence[int] | None = None,
+    seeds: Sequence[int] | None = None, settle: Callable[[Any], Any] | None = None,
 ) -> Any:  # fmt: skip
     """Build a plug-in with its own settings.
 
@@ -32,6 +32,7 @@ def build_plugin(
         offered: What the caller knows, for as many fields as the settings have.
         seed: Of everything random in it.
         seeds: Of a driver that simulates a batch, one for each robot.
+        settle: Changes the settings before it is built, such as for the size of another robot.
 
     Raises:
         InvalidField: `asked` names a field that the settings do not have, or a value of another
@@ -39,6 +40,8 @@ def build_plugin(
         BadPlugin: It called `sys.exit()`.
     """
     settings = settings_of(plugin, where=where, asked=asked, offered=offered)
+    if settle is not None and settings is not None:
+        settings = settle(settings)
     with exit_refused(where, plugin):
         if seeds is not None:
             return plugin.build_batch(robot, settings, seeds=seeds)

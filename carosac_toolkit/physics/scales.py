@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.scaled import Ratios
 from carosac_toolkit.robot.robot import Robot
@@ -67,10 +68,14 @@ class Scales:
         mass = self.robot.mass / CAROSAC_MASS_KG
         return Ratios(mass, length, float(np.sqrt(length / gravity)))
 
-    def reach(self, delay: float) -> float:
-        """Return how far a winch winds at full speed within its lag and a delay [s]: [m]."""
+    def reach(self, delay: ArrayLike) -> float:
+        """Return how far a winch winds at full speed within its lag and a delay [s]: [m].
+
+        Args:
+            delay: One for all winches, or one each, shape (n,).
+        """
         robot = self.robot
-        return float((robot.speed_max * (robot.winch_lag + delay)).max())
+        return float((robot.speed_max * (robot.winch_lag + np.asarray(delay))).max())
 
     def jerk(self, period: float) -> float:
         """Return the change of acceleration that winches can follow [m/s^3].

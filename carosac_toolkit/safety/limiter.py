@@ -30,7 +30,7 @@ brakes each cable on its own; with more cables than degrees of freedom its tensi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,34 +39,71 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.cable.straight_line import forward_kinematics
-from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Slack, WinchMotion
+from carosac_toolkit.physics.motion.braking import Brakes, Slack, WinchMotion, box_slack
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
+
+DELAY_LAGS = 0.2  # delay of the encoders in lags of a winch: 10 ms for 50 ms
 
 
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
     """Limits that are not in the robot file.
 
+    A plant drawn at random has winches of another lag than the nominal robot. Where two drivers
+    shall have the same limits, derive them once: ``settings.of(nominal, period=period)``.
+
     Attributes:
-        jerk_max: Largest change of acceleration of a cable [m/s^3]. The default takes winches of
-            5 m/s^2 to full acceleration in 25 ms.
+        jerk_max: Largest change of acceleration of a cable [m/s^3]; None: that which takes the
+            slowest winch to full acceleration in half its lag, or in a period if that is longer.
         jump_max: Largest distance of a command from the measured length [m]; must exceed the
-            lag of the winches at full speed. The default is twice that of winches of 2.5 m/s with
-            a lag of 50 ms and a delay of 10 ms.
+            lag of the winches at full speed. None: twice what the farthest winch winds at full
+            speed in 1.2 lags, which leaves a fifth of a lag for the delay of the encoders, or in
+            two periods if that is longer.
         box: True if the straight-line position must stay in the robot's workspace box.
     """
 
-    jerk_max: float = 200.0
-    jump_max: float = 0.3
+    jerk_max: float | None = None
+    jump_max: float | None = None
     box: bool = True
 
     def __post_init__(self) -> None:
         """Refuse numbers that are not positive."""
         for name, unit in (("jerk_max", "m/s^3"), ("jump_max", "m")):
             value = getattr(self, name)
-            if not value > 0.0 or not np.isfinite(value):
+            if value is not None and (not value > 0.0 or not np.isfinite(value)):
                 raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+
+    def of(self, robot: Robot, *, period: float) -> LimitSettings:
+        """Return the settings with both numbers, derived from a robot where they are None.
+
+        Args:
+            robot: Robot description, n cables.
+            period: Time between two commands [s].
+
+        Raises:
+            InvalidField: A `jump_max` by which a winch at full speed would be stopped for its lag.
+        """
+        return replace(
+            self, jerk_max=self.jerk_of(robot, period), jump_max=self.jump_of(robot, period)
+        )
+
+    def jerk_of(self, robot: Robot, period: float) -> float:
+        """Return the largest change of acceleration for a robot [m/s^3]."""
+        return Scales(robot).jerk(period) if self.jerk_max is None else self.jerk_max
+
+    def jump_of(self, robot: Robot, period: float) -> float:
+        """Return the largest distance from the measured length for a robot [m]."""
+        scales = Scales(robot)
+        if self.jump_max is None:
+            delay = np.maximum(DELAY_LAGS * robot.winch_lag, 2.0 * period - robot.winch_lag)
+            return 2.0 * scales.reach(delay)
+        behind = scales.reach(0.0)
+        if self.jump_max <= behind:
+            allowed = f"more than {behind:g} m, the lag of its winches at full speed"
+            raise InvalidField("jump_max", f"{self.jump_max} m for robot {robot.name!r}", allowed)
+        return self.jump_max
 
 
 class Limiter:
@@ -75,6 +112,13 @@ class Limiter:
     Each call of `apply` or `brake` stands for one period, whatever the time of the command says:
     it is passed on and not checked, as the clocks of drivers jitter. A driver that misses a tick
     makes no call for it, and its winches hold the last command.
+
+    Attributes:
+        robot: Robot description, n cables.
+        period: Time between two commands [s].
+        jerk_max: Largest change of acceleration of a cable [m/s^3].
+        jump_max: Largest distance of a command from the measured length [m].
+        box: True if the straight-line position must stay in the robot's workspace box.
     """
 
     def __init__(
@@ -89,16 +133,19 @@ class Limiter:
 
         Raises:
             InvalidField: A period that is not positive, or so short that the rounding of lengths
-                hides the jerk limit.
+                hides the jerk limit; a `jump_max` that is too short for this robot.
         """
         self.robot = robot
-        self.settings = LimitSettings() if settings is None else settings
         if not period > 0.0 or not np.isfinite(period):
             raise InvalidField("period", f"{period} s", "period > 0, finite")
-        if Slack.of(robot, self.settings.jerk_max, period).jerk > 0.01 * self.settings.jerk_max:
+        settings = settings or LimitSettings()
+        self.jerk_max = settings.jerk_of(robot, period)
+        self.jump_max = settings.jump_of(robot, period)
+        self.box = settings.box
+        if Slack.of(robot, self.jerk_max, period).jerk > 0.01 * self.jerk_max:
             raise InvalidField(
                 "period", f"{period} s",
-                f"a period at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
+                f"a period at which {self.jerk_max:g} m/s^3 is not lost in rounding",
             )  # fmt: skip
         self.period = float(period)
         self._brakes: Brakes | None = None
@@ -132,12 +179,11 @@ class Limiter:
         if start.shape != (size,):
             raise InvalidField("time", f"shape {start.shape}", f"shape {(size,)}")
         _check_lengths(self.robot, length)
-        position = _check_box(self.robot, length) if self.settings.box else np.zeros((size, 3))
+        position = _check_box(self.robot, length) if self.box else np.zeros((size, 3))
         if self._brakes is None or self._size != size:
-            s = self.settings
             self._brakes = Brakes(
-                self.robot, size, period=self.period, jerk_max=s.jerk_max, jump_max=s.jump_max,
-                box=s.box,
+                self.robot, size, period=self.period, jerk_max=self.jerk_max,
+                jump_max=self.jump_max, box=self.box,
             )  # fmt: skip
             self._size = size
         rest = np.zeros_like(length)
@@ -179,10 +225,10 @@ class Limiter:
         changed = (sent.length != asked).any(axis=1)
         far = False
         if measured is not None:
-            far = bool((np.abs(sent.length - measured) > self.settings.jump_max).any())
+            far = bool((np.abs(sent.length - measured) > self.jump_max).any())
         if far or changed.any():
             hits += limit_hits(
-                self.robot, self.settings.jerk_max, self.settings.jump_max, self.period,
+                self.robot, self.jerk_max, self.jump_max, self.period,
                 brakes, motion, asked, sent, measured,
             )  # fmt: skip
         rate = command.length_rate
@@ -244,7 +290,8 @@ def _check_lengths(robot: Robot, length: Array) -> None:
 def _check_box(robot: Robot, length: Array) -> Array:
     """Return the straight-line positions [m], (B, 3); refuse any outside the workspace box."""
     fit = forward_kinematics(robot, length)
-    low, high = robot.workspace_min - BOX_SLACK_M, robot.workspace_max + BOX_SLACK_M
+    slack = box_slack(robot)
+    low, high = robot.workspace_min - slack, robot.workspace_max + slack
     inside = ((fit.position >= low) & (fit.position <= high)).all(axis=1)
     bad = ~(inside & fit.converged)
     if bad.any():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import LimitHit
-from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Extremes, WinchMotion
+from carosac_toolkit.physics.motion.braking import Brakes, Extremes, WinchMotion, box_slack
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -67,7 +67,7 @@ def limit_hits(
             checks.append(_Check("jump", (far > jump_max) | (kept > jump_max), far, kept))
     alone = changed & ~np.any([c.broken for c in checks], axis=0)
     checks.append(_Check("coordination", alone, asked_length, sent.length))
-    outside = rows & (ahead.outside > BOX_SLACK_M)
+    outside = rows & (ahead.outside > box_slack(robot))
     return _listed(checks, outside, ahead.outside, behind.outside)
 
 

@@ -21,12 +21,14 @@ from __future__ import annotations
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.motion.braking import Slack
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.safety.limiter import Limiter
 
-BEND_FADE_TIME_S = 0.2  # tau [s], for how long the path keeps its bend
-NOISE_FADE_TIME_S = 0.02  # epsilon [s], for how long it keeps what differs from that
+BEND_FADE_TIME = Scaled(0.2, "s")  # tau, for how long the path keeps its bend
+NOISE_FADE_TIME = Scaled(0.02, "s")  # epsilon, for how long it keeps what differs from that
 RATE_CHANGE_CANDIDATES = 96
 CREEP_FACTOR_MAX = 1e-3  # factor below which what is left of the stop is the winches' own
 
@@ -48,13 +50,15 @@ class CoordinatedStop:
         """
         self._limiter = limiter
         limiter.begin_path()
-        robot, jerk = limiter.robot, limiter.settings.jerk_max
+        robot, jerk = limiter.robot, limiter.jerk_max
         slack = Slack.of(robot, jerk, limiter.period)
         self._most = (
             robot.speed_max + slack.speed,
             robot.acceleration_max + slack.acceleration,
             np.full(robot.n, jerk + slack.jerk),
         )
+        ratios = Scales(robot).ratios
+        self._fade_times = BEND_FADE_TIME.of(ratios), NOISE_FADE_TIME.of(ratios)
         start = limiter.motion
         self._start = tuple(x[0] for x in (start.length, start.speed, start.acceleration))
         self._bend = self._start[2] if bend is None else bend
@@ -88,9 +92,7 @@ class CoordinatedStop:
         """Return lengths along the path [m], shape (K, n), for sigma of shape (K,)."""
         length, speed, acceleration = self._start
         s = sigma[:, None]
-        slow, fast = (
-            tau**2 * (np.expm1(-s / tau) + s / tau) for tau in (BEND_FADE_TIME_S, NOISE_FADE_TIME_S)
-        )
+        slow, fast = (tau**2 * (np.expm1(-s / tau) + s / tau) for tau in self._fade_times)
         return np.asarray(
             length + speed * s + self._bend * slow + (acceleration - self._bend) * fast
         )
@@ -102,7 +104,7 @@ class CoordinatedStop:
         limiter, h = self._limiter, self._limiter.period
         motion = limiter.motion
         pace = float(np.abs(self._start[1]).max())
-        jerk = 0.5 * limiter.settings.jerk_max / pace
+        jerk = 0.5 * limiter.jerk_max / pace
         low = max(self._change - 4.0 * jerk * h, -self._factor / h)
         changes = np.linspace(low, min(0.0, self._change + 2.0 * jerk * h), RATE_CHANGE_CANDIDATES)
         factors = self._factor + changes * h

@@ -94,7 +94,7 @@ def test_commands_that_jump_are_limited_and_say_so():
     driver = connected(QuasiStaticSettings(sensors=PERFECT_SENSORS))
     start = driver.measure().unstrained_length
     sent = ask(driver, start + 1.0)
-    jerk = driver._settings.limits.jerk_max
+    jerk = driver._limiter.jerk_max
     assert (sent.unstrained_length - start).max() == pytest.approx(jerk * PERIOD**3, rel=1e-3)
     assert {"jerk", "acceleration"} <= {hit.limit for hit in sent.limited}
 

@@ -23,12 +23,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion import braking_kernels, stop_kernels
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 SETTLE_ROUNDINGS = 5.0  # of a length, by which a shortened step may end beyond its target
-BOX_SLACK_M = 1e-9  # accuracy of the straight-line position [m]
+BOX_SLACK = Scaled(1e-9, "m")  # accuracy of the straight-line position
 _MACHINE_EPSILON = 2.0**-52
 _MOTION_FIELDS = ("length", "speed", "acceleration", "position")
 _CABLE_BUFFERS = (
@@ -194,6 +196,11 @@ class Brakes:
         return WinchMotion(*(self._views[f"sent_{name}"].copy() for name in _MOTION_FIELDS))
 
 
+def box_slack(robot: Robot) -> float:
+    """Return by how much a straight-line position may be outside the workspace box [m]."""
+    return BOX_SLACK.of(Scales(robot).ratios)
+
+
 def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
     """Return a bound on the periods that any controlled stop needs from within the limits."""
     jump, a_max = jerk_max * period, robot.acceleration_max
@@ -212,4 +219,4 @@ def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
     rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
     rules.length_slack, rules.speed_slack = slack.length, slack.speed
     rules.acceleration_slack, rules.jerk_slack = slack.acceleration, slack.jerk
-    rules.settle_slack, rules.box_slack = SETTLE_ROUNDINGS * slack.length, BOX_SLACK_M
+    rules.settle_slack, rules.box_slack = SETTLE_ROUNDINGS * slack.length, box_slack(robot)

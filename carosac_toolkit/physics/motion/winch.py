@@ -12,14 +12,19 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.motion import winch_kernels
 from carosac_toolkit.physics.motion.winch_kernels import Winch
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-INNER_STEP_MAX_S = float(winch_kernels.WINCH_STEP_MAX_S)  # [s], longest inner step
-INTEGRAL_TIME_MIN_S = 2.0 * INNER_STEP_MAX_S  # [s]; shortest that the inner steps resolve
+STEPS_PER_LAG = 25  # inner steps in the mean lag of the winches of a robot
+STEPS_PER_OWN_LAG = 20  # at least so many in the lag of a winch that is quicker than the others
+STEP_WITHOUT_LAG = Scaled(2e-3, "s")  # in which a winch without lag reaches its command
+STEP_MIN = Scaled(0.1e-3, "s")  # a lag below it is none
+INTEGRAL_TIME_STEPS_MIN = 2.0  # shortest integral time that the inner steps resolve, in steps
 _STATE_BUFFERS = ("length", "rate", "integral")
 
 
@@ -32,7 +37,8 @@ class WinchSettings:
     derivative it trails a moving command by lag times speed.
 
     Attributes:
-        integral_time: Time constant of the integral term [s]; None: no integral.
+        integral_time: Time constant of the integral term [s]; None: no integral. At least two
+            inner steps of the winch (`inner_steps`), 4 ms on the robot ``carosac``.
         derivative_time: Time constant of the derivative term [s]; it makes the drive slower.
         believed_drum_buildup: Decrease of the squared drum radius per length paid out that the
             drives assume [m], for all drums; None: the true one.
@@ -44,18 +50,29 @@ class WinchSettings:
 
     def __post_init__(self) -> None:
         """Refuse times and build-ups that no drive can have."""
-        lowest = {
-            "integral_time": (INTEGRAL_TIME_MIN_S, "s"),
-            "derivative_time": (0.0, "s"),
-            "believed_drum_buildup": (0.0, "m"),
-        }
-        for name, (low, unit) in lowest.items():
+        units = {"integral_time": "s", "derivative_time": "s", "believed_drum_buildup": "m"}
+        for name, unit in units.items():
             value = getattr(self, name)
             if value is None and name != "derivative_time":
                 continue
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not low <= value < np.inf:
-                raise InvalidField(name, f"{value} {unit}", f"{name} >= {low:g} {unit}, finite")
+            above = ">" if name == "integral_time" else ">="
+            if not number or not 0.0 <= value < np.inf or (above == ">" and value == 0.0):
+                raise InvalidField(name, f"{value} {unit}", f"{name} {above} 0 {unit}, finite")
+
+
+def inner_steps(robot: Robot) -> Array:
+    """Return the longest inner steps of the winches of a robot [s], shape (n,).
+
+    They resolve the lag: a share of the mean lag, so that plants whose lags were drawn at random
+    have steps that differ less than their lags, and less where a winch is much quicker.
+    """
+    ratios, lag = Scales(robot).ratios, robot.winch_lag
+    if not lag.any():
+        return np.full(robot.n, STEP_WITHOUT_LAG.of(ratios))
+    step = np.full(robot.n, lag[lag > 0.0].mean() / STEPS_PER_LAG)
+    short = np.maximum(lag / STEPS_PER_OWN_LAG, STEP_MIN.of(ratios))
+    return np.where(lag > 0.0, np.minimum(step, short), step)
 
 
 def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArray[Any]:
@@ -69,14 +86,22 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
 
     Raises:
         InvalidField: A drum, true or believed, from which `length_max` cannot be paid out, or a
-            belief about drums that the robot does not have.
+            belief about drums that the robot does not have; an integral time that the inner steps
+            do not resolve.
     """
     chosen = settings or WinchSettings()
+    steps = inner_steps(robot)
+    shortest = INTEGRAL_TIME_STEPS_MIN * float(steps.max())
+    integral_time = chosen.integral_time
+    if integral_time is not None and integral_time < shortest * (1.0 - 1e-9):
+        allowed = f"integral_time >= {shortest:g} s for robot {robot.name!r}, finite"
+        raise InvalidField("integral_time", f"{integral_time} s", allowed)
     records = np.zeros(robot.n, dtype=Winch.numpy_dtype())
     records["lag"] = robot.winch_lag
+    records["step_max"] = steps
     records["speed_max"] = robot.speed_max
     records["acceleration_max"] = robot.acceleration_max
-    records["integral_rate"] = 0.0 if chosen.integral_time is None else 1.0 / chosen.integral_time
+    records["integral_rate"] = 0.0 if integral_time is None else 1.0 / integral_time
     records["derivative_time"] = chosen.derivative_time
     belief = chosen.believed_drum_buildup
     if robot.drum_radius is None or robot.drum_buildup is None:

@@ -24,7 +24,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 f64 = wp.float64
 
 ZERO = wp.constant(wp.float64(0.0))
-WINCH_STEP_MAX_S = wp.constant(wp.float64(2.0e-3))  # [s], longest inner step
 
 
 @wp.struct
@@ -32,6 +31,7 @@ class Winch:
     """One winch: its drive, and its drum as it is and as the drive believes it to be."""
 
     lag: wp.float64  # [s]
+    step_max: wp.float64  # longest inner step [s]
     speed_max: wp.float64  # [m/s]
     acceleration_max: wp.float64  # [m/s^2]
     integral_rate: wp.float64  # [1/s]; 0: no integral
@@ -88,7 +88,7 @@ def read_length(winch: Winch, length: wp.float64) -> wp.float64:
 def winch_advance(
     winch: Winch, state: WinchState, command: wp.float64, duration: wp.float64
 ) -> WinchState:
-    """Follow a constant command [m] for a time [s], in inner steps of at most `WINCH_STEP_MAX_S`.
+    """Follow a constant command [m] for a time [s], in inner steps of at most its `step_max`.
 
     Args:
         winch: The winch.
@@ -105,7 +105,7 @@ def winch_advance(
     integral = state.integral
     if duration > ZERO:
         # Rounding of the duration must not change the count.
-        count = wp.max(int(wp.ceil(duration / WINCH_STEP_MAX_S - f64(1.0e-6))), 1)
+        count = wp.max(int(wp.ceil(duration / winch.step_max - f64(1.0e-6))), 1)
         h = duration / f64(count)
         # The lag must be resolved: a faster winch than one step reaches its command in one.
         lag = wp.max(winch.lag, h) + winch.derivative_time

@@ -46,6 +46,7 @@ from carosac_toolkit.safety.guard.lifecycle import FaultReport, NotReady
 from carosac_toolkit.safety.guard.monitor import Monitor, check_shape
 from carosac_toolkit.safety.guard.settings import GuardSettings
 from carosac_toolkit.safety.guard.timing import CycleTimer, Watchdog
+from carosac_toolkit.safety.settled import settled
 
 DRIVEN_STATES = (DriveState.ENABLED, DriveState.FOLLOWING)
 
@@ -78,7 +79,7 @@ class GuardedDriver(MotionDriver):
         self, inner: Driver, robot: Robot, settings: GuardSettings, *, real_time: bool
     ) -> None:
         """Guard a driver of a robot; `real_time`: its time is wall-clock time."""
-        self.inner, self.settings, self.real_time = inner, settings, real_time
+        self.inner, self.settings, self.real_time = inner, settled(settings, robot), real_time
         self._robot = robot
         self._lock = threading.RLock()
         self.journal: Journal = NoJournal()
@@ -94,7 +95,7 @@ class GuardedDriver(MotionDriver):
         Raises:
             InvalidField: A driver that replays or is a guard, or settings that it does not have.
         """
-        chosen = settings or cls.Settings()
+        chosen = settled(settings or cls.Settings(), robot)
         inner, real_time = build_inner(robot, chosen, seed, guard=GuardedDriver)
         return cls(inner, robot, chosen, real_time=real_time)
 

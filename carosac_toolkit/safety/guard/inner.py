@@ -24,7 +24,7 @@ from carosac_toolkit.safety.guard.checks import Finding
 from carosac_toolkit.safety.guard.lifecycle import NotReady
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
-SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
+SHARED_SETTINGS = ("motion", "period", "suite", "limits")  # of the guard, and of drivers with them
 START_SETTING = "start_position"  # of a simulated robot; a real one starts where it is
 FAULTS_OF_FIELDS = {  # of a measurement with an impossible number
     "unstrained_length": Fault.ENCODER_JUMP,

@@ -24,6 +24,7 @@ from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
@@ -96,7 +97,9 @@ def run_case(case: Case) -> dict[str, Any]:
     driver_settings = given_to_driver(
         case, condition, period_of(controller), tuple(float(x) for x in start)
     )
-    driver = build_part("drivers", name, plant, case, "driver_settings", driver_settings)
+    driver = build_part(
+        "drivers", name, plant, case, "driver_settings", driver_settings, nominal=robot
+    )
     estimator = estimator_of(case, robot, driver)
     duration = (
         FINAL_REST_S + path.duration if path else controller.period * len(driver.recording.time)
@@ -178,6 +181,7 @@ def example_series(case: Case, log: Log) -> str | None:
 def build_part(
     kind: plugins.Kind, name: str, robot: Robot | Sequence[Robot], case: Case, key: str,
     given: Mapping[str, Any] | None = None, *, seeds: Sequence[int] | None = None,
+    nominal: Robot | None = None,
 ) -> Any:  # fmt: skip
     """Make a plug-in by name, with its own settings.
 
@@ -189,6 +193,7 @@ def build_part(
         key: Key of its settings among those of the case.
         given: Settings that the case itself sets, as far as the plug-in has them.
         seeds: For a driver of a batch, one for each robot.
+        nominal: For a driver, the robot whose size settles its settings; `robot` is a plant.
     """
     plugin = plugins.load(kind, plugin_name(name))
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
@@ -200,8 +205,9 @@ def build_part(
             allowed = "none: the case itself sets it"
             raise InvalidField(f"{key}.{clash}", repr(asked[clash]), allowed)
     return build_plugin(
-        plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds
-    )
+        plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds,
+        settle=None if nominal is None else lambda settings: settled(settings, nominal),
+    )  # fmt: skip
 
 
 def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     driver = build_part(
         "drivers", str(settings.get("driver", DEFAULT_DRIVER)), plants, first, "driver_settings",
         given_to_driver(first, condition, period_of(controller), paths.starts),
-        seeds=[case.sensor_seed for case in cases],
+        seeds=[case.sensor_seed for case in cases], nominal=robot,
     )  # fmt: skip
     if getattr(driver, "real_time", False):
         raise CarosacError("a driver in real time runs one case at a time")

@@ -9,15 +9,18 @@ from scipy.linalg import expm
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.motion.winch import (
-    INNER_STEP_MAX_S,
     Encoders,
     WinchBatch,
     WinchSettings,
+    inner_steps,
     winch_records,
 )
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.similar import similar_robot, similarity
 from tests.robots import simple_robot
 
 START = 8.0  # [m]
+INNER_STEP_MAX_S = 2e-3  # [s] of winches with a lag of 50 ms
 RADIUS, BUILDUP = np.array([0.05, 0.075, 0.1, 0.06]), np.array([3e-5, 7e-5, 0.0, 8e-5])  # [m]
 
 
@@ -55,14 +58,15 @@ def paid_out_by_integration(radius, buildup, angle):
 
 
 def test_a_small_step_is_followed_with_the_lag_of_the_winch():
-    batch = winches(winch_lag=[0.05, 0.1, 0.2, 0.0], acceleration_max=[1e3] * 4)
+    lag = np.array([0.05, 0.1, 0.2, 0.0])
+    batch = winches(winch_lag=lag, acceleration_max=[1e3] * 4)
     batch.advance(np.full((1, 4), START + 0.01), 0.1)
     missing = (START + 0.01 - batch.length[0]) / 0.01
     # (1 - h / lag)^(t / h) of the inner steps is below the exponential by h t / (2 lag^2) of it
     exact = np.exp([-2.0, -1.0, -0.5, -np.inf])
-    assert missing == pytest.approx(
-        exact, abs=1.2 * INNER_STEP_MAX_S * 0.1 / 2.0 / 0.05**2 * exact[0]
-    )
+    step = inner_steps(simple_robot(winch_lag=lag))[:3]
+    below = step * 0.1 / 2.0 / lag[:3] ** 2 * exact[:3]
+    assert (np.abs(missing[:3] - exact[:3]) < 1.2 * below).all()
     assert missing[3] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -221,7 +225,6 @@ def test_records_carry_what_the_robot_and_the_settings_say():
     ("name", "value"),
     [
         ("integral_time", 0.0),
-        ("integral_time", 1e-3),
         ("derivative_time", -0.1),
         ("derivative_time", None),
         ("believed_drum_buildup", -1e-6),
@@ -231,7 +234,7 @@ def test_records_carry_what_the_robot_and_the_settings_say():
     ],
 )
 def test_impossible_drives_are_refused(name, value):
-    with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: {name} >="):
+    with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: {name} >"):
         WinchSettings(**{name: value})
 
 
@@ -266,3 +269,32 @@ def test_the_inner_steps_do_not_depend_on_the_rounding_of_the_time():
         batch.advance(np.full((1, 4), START + 0.01), duration)
         lengths.append(batch.length[0])
     assert np.ptp(lengths, axis=0).max() < 1e-12
+
+
+def test_inner_steps_resolve_the_lag_of_each_winch():
+    assert inner_steps(load_robot("carosac")) == pytest.approx(2e-3, rel=1e-12)
+    mixed = inner_steps(simple_robot(winch_lag=[0.05, 0.05, 0.05, 0.01]))
+    assert mixed == pytest.approx([1.6e-3, 1.6e-3, 1.6e-3, 0.5e-3])
+    without = inner_steps(simple_robot(winch_lag=[0.0] * 4))
+    assert without == pytest.approx(2e-3, rel=0.2)  # of a robot about as large
+
+
+def test_an_integral_that_the_inner_steps_do_not_resolve_is_refused():
+    message = r"integral_time: got 0.003 s; allowed: integral_time >= 0.004 s for robot 'carosac'"
+    with pytest.raises(InvalidField, match=message):
+        winch_records(load_robot("carosac"), WinchSettings(integral_time=3e-3))
+    winch_records(load_robot("carosac"), WinchSettings(integral_time=4e-3))
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("lag", [0.05, 0.0])
+def test_winches_of_a_scaled_robot_answer_alike(factor, lag):
+    base, scale = replace(load_robot("carosac"), winch_lag=np.full(4, lag)), similarity(factor)
+
+    def motion(robot, length, time):
+        batch = WinchBatch(robot, np.full((1, 4), START * length))
+        commands = START + np.cumsum(np.random.default_rng(1).normal(0.0, 0.02, (60, 4)), axis=0)
+        return follow(batch, commands[:, None] * length, 0.02 * time)[0] / length
+
+    other = motion(similar_robot(base, factor), scale.length, scale.time)
+    assert other == pytest.approx(motion(base, 1.0, 1.0), abs=1e-9)

@@ -226,6 +226,7 @@ def test_settings_reach_the_plug_ins(watched):
     assert np.diff(log.time) == pytest.approx(0.04)
     assert not driver._sensors.encoder_bias.any()
     assert driver._settings.limits.jerk_max == 300.0
+    assert driver._settings.limits.jump_max == pytest.approx(0.4)  # 2 periods of the nominal
     assert driver._settings.limits.box is False  # as the driver's own default has it
     assert driver._settings.period == 0.04
 
