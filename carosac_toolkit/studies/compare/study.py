@@ -75,7 +75,8 @@ class Study:
         scheduler: Address of a dask scheduler, or None for processes of this machine.
         workers: Number of processes; 0 runs in this one; None is one per core.
         timeout: Time limit of a case [s].
-        retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
+        retry: Statuses of finished cases to run again: ``diverged``, ``failed``, ``crashed``,
+            ``timed_out``.
         batch: Number of seeds that run together in one simulation, if driver, controller and
             estimator can; 1 is each alone. The rows are the same to rounding, but without
             latencies.
