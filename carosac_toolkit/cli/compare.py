@@ -20,6 +20,7 @@ from carosac_toolkit.cli.compare_reference import run_suite
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paired import (
     PairedBlock,
@@ -62,6 +63,8 @@ def run(options: Options) -> CommandResult:
     check_folder("--output", study.folder())
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
+    for one in infeasible(study.feasibility):
+        print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
     results = study.run()
     sentences = conclusions(results)
     blocks = paired_blocks(results, options.baseline)

@@ -17,8 +17,10 @@ from carosac_toolkit.reports.page import (
     png,
     repeat,
     table,
+    warnings,
     write_files,
 )
+from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
@@ -104,6 +106,7 @@ def _html(
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
     failed = "\n".join(failures(results))
     parts = [
+        *warnings(one.sentence() for one in infeasible(results.feasibility)),
         bullets(sentences),
         f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
 COMPARED_COLUMNS = ("controller", "estimator", "suite")  # what is compared
@@ -47,10 +48,12 @@ class StudyResults:
     Attributes:
         rows: One per case, in the order of the cases.
         folder: Folder that holds them.
+        feasibility: Feasibility of its paths, where that was judged.
     """
 
     rows: tuple[Row, ...]
     folder: Path
+    feasibility: tuple[PathFeasibility, ...] = ()
 
     @cached_property
     def groups(self) -> list[list[Row]]:
@@ -81,7 +84,11 @@ class StudyResults:
 
     def data(self) -> dict[str, Any]:
         """Return all numbers under names with units, ready for JSON."""
-        return {"summary": self.summary, "cases": len(self.rows)}
+        return {
+            "summary": self.summary,
+            "cases": len(self.rows),
+            "feasibility": [one.data() for one in self.feasibility],
+        }
 
 
 def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[str]:

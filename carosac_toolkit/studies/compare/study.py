@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from carosac_toolkit.studies.compare.checks import (
     check_truth,
     find_plugin,
 )
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
@@ -157,6 +159,11 @@ class Study:
             with remote_client(self.scheduler):
                 pass
 
+    @cached_property
+    def feasibility(self) -> tuple[PathFeasibility, ...]:
+        """Feasibility of the paths with the tensions and winches of each robot, before any run."""
+        return tuple(path_feasibility(self.cases()))
+
     def folder(self) -> Path:
         """Return the folder of the results."""
         return (
@@ -176,13 +183,14 @@ class Study:
         """
         self.check()
         folder = self.folder()
+        judged = self.feasibility
         rows = run_cases(
             self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
             workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
             batching=self._batching(),
             progress=progress,
         )  # fmt: skip
-        return StudyResults(rows=tuple(rows), folder=folder)
+        return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
 
     def _batching(self) -> Batching | None:
         """Return how cases run together."""

@@ -1,4 +1,4 @@
-"""Divergence: a run in which the robot was no longer held or known, so that its errors are no score.
+"""Divergence: a robot no longer held, or no longer known, so that its errors are no score.
 
 All sizes come from the robot: its mean cable length, the weight per cable, its slowest sway.
 """

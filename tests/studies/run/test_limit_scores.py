@@ -93,7 +93,7 @@ def test_leaving_the_box_far_and_losing_the_platform_are_divergences():
     far[200:, 0, 2] = ROBOT.workspace_max[2] + 0.11 * Scales(ROBOT).length
     moved = replace(log(), position=far, belief_position=far)
     assert "left the workspace box by up to 1.01 m" in divergence(moved, ROBOT)
-    lost = replace(log(), belief_position=log().position + [0.0, 0.0, 1.2])
+    lost = replace(log(), belief_position=log().position + np.array([0.0, 0.0, 1.2]))
     assert divergence(lost, ROBOT).startswith("the estimator was lost")
 
 
