@@ -24,8 +24,11 @@ from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
+from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
+from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 
+REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
 STUDY_CAPTIONS = {
     "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
@@ -107,6 +110,9 @@ def _html(
     failed = "\n".join(failures(results))
     parts = [
         *warnings(one.sentence() for one in infeasible(results.feasibility)),
+        *warnings(surprises(results)),
+        f"<p>{escape(caption(results, REPORT_COLUMNS))}</p>",
+        f"<pre>{escape(terminal_table(results, REPORT_COLUMNS))}</pre>",
         bullets(sentences),
         f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),
@@ -124,7 +130,7 @@ def _html(
         definitions({**_settings(results), **made_with()}),
         repeat(words),
     ]
-    return page(f"Comparison of {', '.join(names)}", parts)
+    return page(f"Comparison of {', '.join(map(short_name, names))}", parts)
 
 
 def _settings(results: StudyResults) -> dict[str, str]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,6 +39,7 @@ PAIR_COLUMNS = (
     "seed",
 )  # with robot and perturbation: the same plant on the same path
 AXIS_NAMES = ("x", "y", "z", "norm")
+ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
@@ -151,6 +153,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "cases": len(rows),
         "failures": len(rows) - len(good),
         "diverged": sum(row["status"] == "diverged" for row in rows),
+        "statuses": dict(Counter(str(row["status"]) for row in rows)),
         "incomplete": sum(row.get("completed") is False for row in good),
         "tracking_rmse_m": _per_axis(moved, "tracking"),
         "tracking_std_m": float(np.std(norms, ddof=1)) if len(norms) > 1 else None,
@@ -177,19 +180,30 @@ def _limits(rows: Sequence[Row]) -> dict[str, Any]:
     ran = [row for row in rows if row.get("steps") is not None]
     commands = steps(ran)
     least, largest = _known(ran, "tension_min_N"), _known(ran, "tension_max_N")
-    by_name: dict[str, int] = {}
-    for row in ran:
-        for name, number in json.loads(str(row.get("limited_by") or "{}")).items():
-            by_name[name] = by_name.get(name, 0) + int(number)
+    fallen = [row for row in ran if row.get("fallbacks") is not None]
     limited = int(sum(_number(row, "limited") for row in ran))
     return {
         "tension_min_N": min(least, default=None),
         "tension_max_N": max(largest, default=None),
+        **{name: max(_known(ran, name), default=None) for name in ROBOT_COLUMNS},
         **{name: _share(ran, name) for name in ("slack_share", "overload_share", "outside_share")},
         "limited": limited,
         "limited_share": limited / sum(commands) if sum(commands) else None,
-        "limited_by": dict(sorted(by_name.items(), key=lambda pair: -pair[1])),
+        "limited_by": _sorted_counts(ran, "limited_by"),
+        "limited_first": _sorted_counts(ran, "limited_first"),
+        "remarks": list(dict.fromkeys(str(row["remark"]) for row in ran if row.get("remark"))),
+        "fallback_share": sum(_known(fallen, "fallbacks")) / sum(steps(fallen)) if fallen else None,
+        "fallbacks_by": _sorted_counts(ran, "fallbacks_by"),
     }
+
+
+def _sorted_counts(rows: Sequence[Row], name: str) -> dict[str, int]:
+    """Return the sums of counts that a column holds as JSON, largest first."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        for key, number in json.loads(str(row.get(name) or "{}")).items():
+            counts[key] = counts.get(key, 0) + int(number)
+    return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
 
 
 def _share(rows: Sequence[Row], name: str) -> float | None:

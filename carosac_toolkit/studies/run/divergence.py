@@ -21,7 +21,7 @@ from carosac_toolkit.studies.run.limit_scores import outside
 
 DIVERGED = "diverged"  # key of the reason among the values that a case function returns
 BOX_MARGIN_RATIO = 0.1  # of the mean cable length: sway and overshoot stay within it
-LOST_RATIO = 0.1  # of the mean cable length: an estimate farther off describes another pose
+LOST_RATIO = 0.1  # of the mean cable length: of an estimate or a reference that is farther off
 LOOSE_RATIO = 0.02  # of the weight per cable: a cable with less does not hold the platform
 LOOSE_CABLE_RATIO = 0.1  # of a cable's own weight, with which it pulls even where it hangs loose
 PIECE_RATIO = 0.5  # of the period of the slowest sway: a state that lasts longer is no swing
@@ -38,8 +38,8 @@ def divergence(log: Log, robot: Robot, *, replayed: bool = False) -> str | None:
     Returns:
         One sentence without a full stop: the platform left the workspace box by more than a tenth
         of the mean cable length; or, for over half a period of the slowest sway in one piece, more
-        cables hung loose than the robot can spare, or the estimate was off by more than a tenth of
-        the mean cable length.
+        cables hung loose than the robot can spare, or the estimate or the reference was off by
+        more than a tenth of the mean cable length.
     """
     if replayed or log.position is None:
         return None
@@ -68,13 +68,17 @@ def _reasons(log: Log, position: Array, robot: Robot) -> Iterator[str]:
                 f"{log.time[first]:.3g} s on, over half a period of the slowest sway "
                 f"({2.0 * piece:.3g} s)"
             )
-    error = np.linalg.norm(log.belief_position - position, axis=2).max(axis=1)
-    lasted, first = _longest(log.time, error > LOST_RATIO * size)
-    if lasted > piece:
-        yield (
-            f"the estimator was lost: its position was over {LOST_RATIO * size:.3g} m off for "
-            f"{lasted:.3g} s from {log.time[first]:.3g} s on, up to {error.max():.3g} m"
-        )
+    for what, other in (
+        ("the estimator was lost: its position was off", log.belief_position),
+        ("the platform no longer followed: it was off its reference", log.reference),
+    ):
+        error = np.linalg.norm(other - position, axis=2).max(axis=1)
+        lasted, first = _longest(log.time, error > LOST_RATIO * size)
+        if lasted > piece:
+            yield (
+                f"{what} by over {LOST_RATIO * size:.3g} m for {lasted:.3g} s from "
+                f"{log.time[first]:.3g} s on, up to {error.max():.3g} m"
+            )
 
 
 def _cables(robot: Robot, worst: int, loose: NDArray[np.bool_]) -> str:

@@ -26,6 +26,7 @@ from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_cond
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
+from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
@@ -109,6 +110,7 @@ def run_case(case: Case) -> dict[str, Any]:
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
+    row |= own_words(controller)
     row[DIVERGED] = divergence(log, robot, replayed=recorded)
     return row | {"series": example_series(case, log)}
 

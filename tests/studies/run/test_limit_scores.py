@@ -85,7 +85,7 @@ def test_eight_cables_can_spare_two():
 
 def _at(robot, made):
     place = np.tile(robot.home_position, (len(made.time), 1, 1))
-    return {"position": place, "belief_position": place}
+    return {"position": place, "belief_position": place, "reference": place}
 
 
 def test_leaving_the_box_far_and_losing_the_platform_are_divergences():
