@@ -27,6 +27,7 @@ from carosac_toolkit.studies.compare.results import StudyResults, estimated, tra
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
+from carosac_toolkit.studies.run.robot_copies import copy_of
 
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
@@ -144,4 +145,10 @@ def _settings(results: StudyResults) -> dict[str, str]:
         for name, value in json.loads(str(row["settings"])).items():
             shared.setdefault(name, {})[json.dumps(value).strip('"')] = None
     terms |= {name: "; ".join(values) for name, values in shared.items()}
+    copies = dict.fromkeys(
+        f"{row['robot']}: {path.relative_to(results.folder)}"
+        for row in results.rows
+        if (path := copy_of(results.folder, row)) is not None
+    )
+    terms["robot files"] = "; ".join(copies)
     return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

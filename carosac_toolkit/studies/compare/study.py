@@ -31,6 +31,7 @@ from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import check_statuses, free_folder
+from carosac_toolkit.studies.run.robot_copies import copy_robots
 from carosac_toolkit.studies.run.run_case import (
     CASE_DRIVER_SETTINGS,
     DEFAULT_DRIVER,
@@ -184,12 +185,17 @@ class Study:
         self.check()
         folder = self.folder()
         judged = self.feasibility
-        rows = run_cases(
-            self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
-            workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
-            batching=self._batching(),
-            progress=progress,
-        )  # fmt: skip
+        try:
+            rows = run_cases(
+                self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
+                workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
+                batching=self._batching(),
+                progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:  # what is finished can be viewed
+            copy_robots(folder, self.robots)
+            raise
+        copy_robots(folder, self.robots)
         return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
 
     def _batching(self) -> Batching | None:
