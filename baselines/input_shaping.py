@@ -123,6 +123,16 @@ class InputShaping:
         """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
         return cls(robot, settings or InputShapingSettings())
 
+    @property
+    def remark(self) -> str | None:
+        """Reason why it does nothing for this robot, or None."""
+        if self.modes:
+            return None
+        return (
+            f"no mode of this robot at home is slower than {self._settings.frequency_max:g} Hz: "
+            "nothing is shaped, and its commands are those of kinematic_solver"
+        )
+
     def reset(self, belief: Belief) -> None:
         """Forget the correction and all of the reference that has gone by."""
         self._forget(len(belief.position))

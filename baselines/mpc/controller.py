@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
@@ -72,6 +73,11 @@ class Mpc:
     def build(cls, robot: Robot, settings: MpcSettings | None = None, *, seed: int = 0) -> Self:
         """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
         return cls(robot, settings or MpcSettings())
+
+    @property
+    def fallbacks(self) -> Mapping[str, int]:
+        """Commands without a new plan since the last reset, by reason of `MpcRecord.failures`."""
+        return dict(self.record.failures)
 
     def reset(self, belief: Belief) -> None:
         """Start at rest where the belief says.

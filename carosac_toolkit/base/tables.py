@@ -83,6 +83,11 @@ def fit(
     )
 
 
+def aligned(titles: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> str:
+    """Lay out a table of any width; the first `left` columns hold text, the others numbers."""
+    return _align([titles, *rows], [i >= left for i in range(len(titles))])
+
+
 def _align(lines: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
     """Lay out lines, the titles first, with each column to the right or to the left."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -4,7 +4,8 @@ Prints masses, points, pulleys, cables and limits, and at home the tensions, sag
 frequencies. Warns of what looks like a mistake.
 
 Exit status 1 means that the file is right but the robot cannot stay at its home position: no
-equilibrium within the tension limits, an unstable one, or lengths that its winches cannot wind.
+equilibrium within the tension limits, an unstable one, lengths that its winches cannot wind, or
+cables that touch each other.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Compare controllers and estimators on the same draws of plants, paths and noise.
 
-Every combination is a case; cases run on all cores, or on a dask cluster. Prints a table of
-tracking and estimation errors, how far estimators are right about their own errors, what failed and
-why, and who is better; writes pictures, one self-contained report.html and the row of every case in
-Parquet. Interrupted, the same command with the same --output goes on.
+Every combination is a case; cases run on all cores, or on a dask cluster. Warns of paths that the
+tensions and winches of a robot cannot follow. Prints one table of errors, tensions and limited
+commands, what is surprising in it, what diverged or failed and why, and who is better; writes
+pictures, one self-contained report.html and the row of every case in Parquet. Interrupted, the same
+command with the same --output goes on.
 
-Exit status 1 means that a row of the table is empty: none of its cases succeeded.
+Exit status 1 means that a row of the table has no score: all its cases diverged or failed.
 """
 
 from __future__ import annotations
@@ -20,15 +21,13 @@ from carosac_toolkit.cli.compare_reference import run_suite
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paired import (
-    PairedBlock,
     check_baseline,
     paired_blocks,
     ways_of,
 )
-from carosac_toolkit.studies.compare.paper_tables import text_tables
-from carosac_toolkit.studies.compare.resampling import INTERVAL_SEEDS_MIN
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.compare.study import (
     DEFAULT_CONTROLLERS,
@@ -37,15 +36,9 @@ from carosac_toolkit.studies.compare.study import (
     QUICK_SEEDS,
     Study,
 )
-from carosac_toolkit.studies.compare.tables import failures, text_table, units
-
-PAIRED_TABLE_CAPTION = (
-    "difference: RMSE minus that of the baseline in the same case, median over the seeds, mean "
-    "over the paths, with its 95 % interval (cluster bootstrap, from "
-    f"{INTERVAL_SEEDS_MIN} seeds on); ratio: ratio of these errors; won: cases with the smaller "
-    "error, a failed case counts as lost; p: paired permutation test over seeds of the cases won "
-    "and lost, Holm-corrected; failed: failed cases of this row and of the baseline."
-)
+from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.tables import failures
+from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 
 
 def run(options: Options) -> CommandResult:
@@ -62,10 +55,13 @@ def run(options: Options) -> CommandResult:
     check_folder("--output", study.folder())
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
+    for one in infeasible(study.feasibility):
+        print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
     results = study.run()
     sentences = conclusions(results)
     blocks = paired_blocks(results, options.baseline)
-    _print(results, sentences, blocks, width)
+    surprising = surprises(results)
+    _print(results, surprising, sentences, width)
     files = write_report(results, sentences, _words(options, study), blocks)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
@@ -73,6 +69,7 @@ def run(options: Options) -> CommandResult:
     data = {
         **results.data(),
         "paired": [block.data() for block in blocks],
+        "surprises": surprising,
         "conclusions": sentences,
         "output": str(results.folder),
     }
@@ -133,7 +130,7 @@ def _words(options: Options, study: Study) -> list[str]:
 def _what(study: Study) -> str:
     """Describe the study that is about to run."""
     return (
-        f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
+        f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
         f"{', '.join(study.perturbations)}: "
         f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
         f"({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
@@ -141,16 +138,14 @@ def _what(study: Study) -> str:
     )
 
 
-def _print(
-    results: StudyResults, sentences: list[str], blocks: list[PairedBlock], width: int
-) -> None:
-    """Print the tables, the failures and the conclusions."""
-    print(f"\n{text_table(results, width)}\n")
-    print(wrapped(units(results), width))
-    paired = text_tables(blocks, width)
-    if paired:
-        print(f"\n{paired}\n")
-        print(wrapped(PAIRED_TABLE_CAPTION, width))
+def _print(results: StudyResults, surprising: list[str], sentences: list[str], width: int) -> None:
+    """Print the table, the surprises, the failures and the conclusions."""
+    print(f"\n{terminal_table(results, width)}\n")
+    print(wrapped(caption(results, width), width))
+    if surprising:
+        print()
+    for line in surprising:
+        print(wrapped(line, width, "! "))
     failed = failures(results)
     if failed:
         print()

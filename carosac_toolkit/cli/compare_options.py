@@ -74,7 +74,7 @@ class Options(CommonOptions):
     timeout: float = DEFAULT_TIMEOUT_S
     """Time limit of a case [s]."""
     retry: tuple[str, ...] = ()
-    """Run cases again that ended as `failed`, `crashed` or `timed_out`."""
+    """Run cases again that ended as `diverged`, `failed`, `crashed` or `timed_out`."""
     output: OutputFolder = None
     """Results folder; a study already in it is continued. By default carosac-results/compare,
     numbered if that holds another study."""

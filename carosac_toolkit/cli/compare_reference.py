@@ -20,6 +20,7 @@ from carosac_toolkit.reports.page import check_folder, made_with, write_files
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paper_tables import text_errors, text_tables
+from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.reference.cases import ReferenceSuite, SuiteTask
 from carosac_toolkit.studies.reference.check import SuiteAgreement, agreement
@@ -112,6 +113,8 @@ def _run(task: SuiteTask, folder: Path, options: Options, suite: ReferenceSuite)
     part = PartResults(task=task, results=results)
     write_report(results, conclusions(results), _words(options, suite), part.blocks)
     print(f"\n{text_errors(part.blocks, width)}\n")
+    for line in surprises(results):
+        print(wrapped(line, width, "! "))
     for line in failures(results):
         indent = " " * (len(line) - len(line.lstrip()))
         print(wrapped(line.lstrip(), width, indent))

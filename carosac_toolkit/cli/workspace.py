@@ -32,7 +32,7 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import GRID_AXES, Grid, box_grid, box_of, slice_grid
-from carosac_toolkit.workspace.limits import cable_of, words_of
+from carosac_toolkit.workspace.limits import words_of
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
 from carosac_toolkit.workspace.settings import WorkspaceSettings
@@ -219,7 +219,7 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         rows = [
             (
                 words_of(limit, cable),
-                cable_of(limit, cable, region.robot.cable_names) or "-",
+                region.cable_words(limit, cable) or "-",
                 count,
                 ends.get((limit, cable), 0),
             )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.inspection import contacts
 from carosac_toolkit.inspection.home import RobotAtHome
 from carosac_toolkit.robot.checks import unused_parts
 
@@ -28,7 +29,7 @@ TENSION_ROUNDING_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 
 def problems(report: RobotAtHome) -> list[str]:
-    """Explain why the robot cannot stay at home; empty if it can.
+    """Explain why the robot cannot stay at home, or not as it is; empty if it can.
 
     Args:
         report: The robot and its equilibrium at home.
@@ -39,7 +40,8 @@ def problems(report: RobotAtHome) -> list[str]:
         findings += _no_equilibrium(report)
     elif not home.stable[0]:
         findings.append(_unstable(report))
-    return [*findings, *_tension_limits(report, home), *_winch_range(report)]
+    limits = [*_tension_limits(report, home), *_winch_range(report)]
+    return [*findings, *limits, *contacts.touching(report)]
 
 
 def warnings(report: RobotAtHome) -> list[str]:
@@ -49,6 +51,7 @@ def warnings(report: RobotAtHome) -> list[str]:
         report: The robot and its equilibrium at home.
     """
     findings = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    findings += contacts.through_platform(report)
     tilt = float(np.degrees(report.tilt))
     if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
         findings.append(

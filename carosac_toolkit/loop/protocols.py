@@ -13,6 +13,7 @@ each: the guard uses those that it finds, and the conformance checks refuse one 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 from carosac_toolkit.loop.drive_state import Fault
@@ -100,6 +101,24 @@ class NamedPlugin(Protocol):
     @property
     def name(self) -> str:
         """Name, such as ``ads``."""
+
+
+@runtime_checkable
+class RemarkSource(Protocol):
+    """A controller that knows what a reader of its scores has to know, such as that it is idle."""
+
+    @property
+    def remark(self) -> str | None:
+        """One clause about this robot, such as ``no mode to shape``, or None."""
+
+
+@runtime_checkable
+class FallbackSource(Protocol):
+    """A controller that has something to fall back on, and counts how often it does."""
+
+    @property
+    def fallbacks(self) -> Mapping[str, int]:
+        """Commands since the last reset that were not as computed, by reason."""
 
 
 @runtime_checkable

@@ -10,6 +10,7 @@ from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
 from carosac_toolkit.studies.compare.pairs import Pair
 from carosac_toolkit.studies.compare.paper_tables import QUANTITY_TITLES, differing
+from carosac_toolkit.studies.compare.terminal_table import short_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,7 +82,8 @@ def _draw_block(axes: Any, block: PairedBlock, colors: dict[str, str]) -> None:
     for places in list(ticks.values())[1:]:
         axes.axhline(places[0] - 0.5, color=MEASURED_COLOR, lw=0.3)
     axes.grid(axis="x", which="both", alpha=0.25)
-    title = f"{block.robot}, {counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
+    draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
+    title = f"{short_name(block.robot)}, {draws}"
     axes.set_title(title, fontsize=10)
 
 

@@ -17,13 +17,19 @@ from carosac_toolkit.reports.page import (
     png,
     repeat,
     table,
+    warnings,
     write_files,
 )
+from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
+from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
+from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
+from carosac_toolkit.studies.run.robot_copies import copy_of
 
+REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
 STUDY_CAPTIONS = {
     "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
@@ -104,6 +110,10 @@ def _html(
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
     failed = "\n".join(failures(results))
     parts = [
+        *warnings(one.sentence() for one in infeasible(results.feasibility)),
+        *warnings(surprises(results)),
+        f"<p>{escape(caption(results, REPORT_COLUMNS))}</p>",
+        f"<pre>{escape(terminal_table(results, REPORT_COLUMNS))}</pre>",
         bullets(sentences),
         f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),
@@ -121,7 +131,7 @@ def _html(
         definitions({**_settings(results), **made_with()}),
         repeat(words),
     ]
-    return page(f"Comparison of {', '.join(names)}", parts)
+    return page(f"Comparison of {', '.join(map(short_name, names))}", parts)
 
 
 def _settings(results: StudyResults) -> dict[str, str]:
@@ -135,4 +145,10 @@ def _settings(results: StudyResults) -> dict[str, str]:
         for name, value in json.loads(str(row["settings"])).items():
             shared.setdefault(name, {})[json.dumps(value).strip('"')] = None
     terms |= {name: "; ".join(values) for name, values in shared.items()}
+    copies = dict.fromkeys(
+        f"{row['robot']}: {path.relative_to(results.folder)}"
+        for row in results.rows
+        if (path := copy_of(results.folder, row)) is not None
+    )
+    terms["robot files"] = "; ".join(copies)
     return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

@@ -16,6 +16,7 @@ from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.another_robot import another_robot, cable_count_hint
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.phases import find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
@@ -57,7 +58,12 @@ def validate(
         InvalidField: An unknown model, a range outside the recording, another number of cables, a
             recording without poses in the range or with relative lengths.
     """
-    recording.require_cables(robot)
+    if recording.n != robot.n:
+        raise InvalidField(
+            "robot", f"{robot.name!r} with {robot.n} cables",
+            f"one with {recording.n}: {cable_count_hint(recording, robot)}",
+        )  # fmt: skip
+    other = another_robot(recording, robot)
     recording = calibrated(recording, robot)
     targets = _check_inputs(recording, models, start=start, stop=stop)
     end = len(recording.time) if stop is None else stop
@@ -85,7 +91,7 @@ def validate(
         models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
-        warnings=find_mix_ups(robot, lengths, measured),
+        warnings=(*other, *find_mix_ups(robot, lengths, measured)),
     )
 
 

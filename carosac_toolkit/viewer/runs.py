@@ -20,7 +20,6 @@ from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
-from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.viewer.picture import Picture, take_picture
@@ -110,7 +109,7 @@ def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
     from carosac_toolkit.studies.run.folder import read_rows
 
     kept = [row for row in read_rows(folder) if row.get("series") is not None]
-    runs = [run for row in kept if (run := _case_run(row)) is not None]
+    runs = [run for row in kept if (run := _case_run(folder, row)) is not None]
     if not runs:
         why = (
             "none of its cases kept its time series" if not kept else
@@ -125,12 +124,14 @@ def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
     return [runs[number]]
 
 
-def _case_run(row: Row) -> RecordedRun | None:
+def _case_run(folder: Path, row: Row) -> RecordedRun | None:
     """Return a case of a study, or None if too little of it was kept."""
     series: dict[str, Any] = json.loads(str(row["series"]))
     if series["position_m"] is None or series.get("quaternion") is None:
         return None
-    robot = load_robot(str(row["robot"]))
+    from carosac_toolkit.studies.run.robot_copies import robot_of_row
+
+    robot = robot_of_row(folder, row)
     time = np.array(series["time_s"])
     quaternion = np.array(series["quaternion"])
     tension = series.get("tension_N")

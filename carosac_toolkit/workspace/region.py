@@ -17,6 +17,8 @@ from carosac_toolkit.workspace.judgement import Verdicts, judge
 from carosac_toolkit.workspace.limits import LIMIT_LABELS, Limit, cable_of, describe
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
+PAIRS_SHOWN = 2  # of cables that come too near each other
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Region:
@@ -65,6 +67,27 @@ class Region:
         order = np.argsort(-counts, kind="stable")
         return [(int(groups[k, 0]), int(groups[k, 1]), int(counts[k])) for k in order]
 
+    def colliding(self) -> list[tuple[str, str, int]]:
+        """Return the pairs of cables that keep positions out, with their number, most first."""
+        out = self.verdicts
+        pairs = out.pair[out.limit == Limit.COLLISION]
+        if len(pairs) == 0:
+            return []
+        groups, counts = np.unique(pairs, axis=0, return_counts=True)
+        names = self.robot.cable_names
+        return [
+            (names[groups[k, 0]], names[groups[k, 1]], int(counts[k]))
+            for k in np.argsort(-counts, kind="stable")
+        ]
+
+    def cable_words(self, limit: int, cable: int) -> str | None:
+        """Name the cable that a limit is about, the pairs that come too near, or None."""
+        if limit != Limit.COLLISION:
+            return cable_of(limit, cable, self.robot.cable_names)
+        pairs = [f"{one} and {other}" for one, other, _ in self.colliding()]
+        more = f", {len(pairs) - PAIRS_SHOWN} more pairs" if len(pairs) > PAIRS_SHOWN else ""
+        return f"{', '.join(pairs[:PAIRS_SHOWN])}{more}" if pairs else None
+
     def _beside(self) -> NDArray[np.bool_]:
         """Return positions outside, next to one inside along x, y or z."""
         inside = self.verdicts.inside.reshape(self.grid.shape)
@@ -112,9 +135,15 @@ class Region:
         causes = self.causes(at_the_end=at_the_end)
         total = sum(count for _, _, count in causes)
         return ", ".join(
-            f"{describe(limit, cable, self.robot.cable_names)} ({100.0 * count / total:.0f} %)"
+            f"{self._described(limit, cable)} ({100.0 * count / total:.0f} %)"
             for limit, cable, count in causes[:3]
         )
+
+    def _described(self, limit: int, cable: int) -> str:
+        """Describe a limit in words, with its cable or its pair of cables."""
+        text = describe(limit, cable, self.robot.cable_names)
+        pairs = self.colliding() if limit == Limit.COLLISION else []
+        return f"{text}, {pairs[0][0]} and {pairs[0][1]}" if pairs else text
 
     def data(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON."""
@@ -135,6 +164,10 @@ class Region:
                 "largest": float(finite.max()) if len(finite) else None,
             },
             "limits": self._listed(at_the_end=False),
+            "colliding": [
+                {"cables": [one, other], "positions": count}
+                for one, other, count in self.colliding()
+            ],
             "limits_at_the_end": self._listed(at_the_end=True),
             "sentence": self.sentence(),
         }

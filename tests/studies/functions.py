@@ -151,3 +151,8 @@ def together(cases: list[Case]) -> list[dict[str, Any]]:
     if cases[0].controller == "dies":
         os.kill(os.getpid(), signal.SIGKILL)
     return [score(case) | {"label": f"one of {len(cases)}"} for case in cases]
+
+
+def diverge(case: Case) -> dict[str, Any]:
+    """Diverge on odd seeds."""
+    return {"error": 1.0, "diverged": "the platform left" if case.seed % 2 else None}

@@ -16,6 +16,7 @@ from carosac_toolkit.studies.compare.resampling import (
     smallest_p,
 )
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS
+from carosac_toolkit.studies.compare.terminal_table import short_name
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 
 QUANTITY_TITLES = {
@@ -219,7 +220,7 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
 def _where(block: PairedBlock) -> str:
     """Name the robot and condition of a table."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
-    return f"{block.robot}, {block.perturbation}, {draws}"
+    return f"{short_name(block.robot)}, {block.perturbation}, {draws}"
 
 
 def _names(block: PairedBlock) -> list[str]:

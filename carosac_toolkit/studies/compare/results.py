@@ -11,12 +11,15 @@ How rows become one line:
   such means lie is that of as many independent draws as there are seeds: wider than it could be,
   never narrower.
 * Latencies are medians over the cases of their median, 95th and 99th percentile.
-* Cases that failed, crashed or timed out have no errors; they are counted, with their reasons.
+* Cases that diverged, failed, crashed or timed out have no errors; they are counted, with their
+  reasons. Tensions and limited commands are over the cases that diverged as well.
 """
 
 from __future__ import annotations
 
+import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
 COMPARED_COLUMNS = ("controller", "estimator", "suite")  # what is compared
@@ -35,6 +39,7 @@ PAIR_COLUMNS = (
     "seed",
 )  # with robot and perturbation: the same plant on the same path
 AXIS_NAMES = ("x", "y", "z", "norm")
+ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
@@ -45,10 +50,12 @@ class StudyResults:
     Attributes:
         rows: One per case, in the order of the cases.
         folder: Folder that holds them.
+        feasibility: Feasibility of its paths, where that was judged.
     """
 
     rows: tuple[Row, ...]
     folder: Path
+    feasibility: tuple[PathFeasibility, ...] = ()
 
     @cached_property
     def groups(self) -> list[list[Row]]:
@@ -79,7 +86,11 @@ class StudyResults:
 
     def data(self) -> dict[str, Any]:
         """Return all numbers under names with units, ready for JSON."""
-        return {"summary": self.summary, "cases": len(self.rows)}
+        return {
+            "summary": self.summary,
+            "cases": len(self.rows),
+            "feasibility": [one.data() for one in self.feasibility],
+        }
 
 
 def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -141,6 +152,8 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         **{name: rows[0][name] for name in GROUP_COLUMNS},
         "cases": len(rows),
         "failures": len(rows) - len(good),
+        "diverged": sum(row["status"] == "diverged" for row in rows),
+        "statuses": dict(Counter(str(row["status"]) for row in rows)),
         "incomplete": sum(row.get("completed") is False for row in good),
         "tracking_rmse_m": _per_axis(moved, "tracking"),
         "tracking_std_m": float(np.std(norms, ddof=1)) if len(norms) > 1 else None,
@@ -156,10 +169,54 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "tracking_boundary_m": pooled(moved, "tracking_boundary_m", outside),
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
-        "limited": int(sum(_number(row, "limited") for row in good)),
+        **_limits(rows),
         **{name: _middle(good, name) for name in LATENCY_COLUMNS},
         "reasons": reasons(rows),
     }
+
+
+def _limits(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return how far the cases of a group, those that diverged included, kept the limits."""
+    ran = [row for row in rows if row.get("steps") is not None]
+    commands = steps(ran)
+    least, largest = _known(ran, "tension_min_N"), _known(ran, "tension_max_N")
+    fallen = [row for row in ran if row.get("fallbacks") is not None]
+    limited = int(sum(_number(row, "limited") for row in ran))
+    return {
+        "tension_min_N": min(least, default=None),
+        "tension_max_N": max(largest, default=None),
+        **{name: max(_known(ran, name), default=None) for name in ROBOT_COLUMNS},
+        **{name: _share(ran, name) for name in ("slack_share", "overload_share", "outside_share")},
+        "limited": limited,
+        "limited_share": limited / sum(commands) if sum(commands) else None,
+        "limited_by": _sorted_counts(ran, "limited_by"),
+        "limited_first": _sorted_counts(ran, "limited_first"),
+        "remarks": list(dict.fromkeys(str(row["remark"]) for row in ran if row.get("remark"))),
+        "fallback_share": sum(_known(fallen, "fallbacks")) / sum(steps(fallen)) if fallen else None,
+        "fallbacks_by": _sorted_counts(ran, "fallbacks_by"),
+    }
+
+
+def _sorted_counts(rows: Sequence[Row], name: str) -> dict[str, int]:
+    """Return the sums of counts that a column holds as JSON, largest first."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        for key, number in json.loads(str(row.get(name) or "{}")).items():
+            counts[key] = counts.get(key, 0) + int(number)
+    return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
+
+
+def _share(rows: Sequence[Row], name: str) -> float | None:
+    """Return a share of the time of all cases, None if no row has it."""
+    pairs = [(float(value), w) for row, w in zip(rows, steps(rows), strict=True)
+             if (value := row.get(name)) is not None]  # fmt: skip
+    total = sum(w for _, w in pairs)
+    return sum(value * w for value, w in pairs) / total if total else None
+
+
+def _known(rows: Sequence[Row], name: str) -> list[float]:
+    """Return the values of a column that rows have."""
+    return [float(value) for row in rows if (value := row.get(name)) is not None]
 
 
 def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
@@ -169,13 +226,13 @@ def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
 
 def _mean(rows: Sequence[Row], name: str) -> float | None:
     """Return the mean of a column, None if no row has it."""
-    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    known = _known(rows, name)
     return float(np.mean(known)) if known else None
 
 
 def _middle(rows: Sequence[Row], name: str) -> float | None:
     """Return the median of a column, None if no row has it."""
-    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    known = _known(rows, name)
     return float(np.median(known)) if known else None
 
 

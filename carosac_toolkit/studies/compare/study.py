@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,14 @@ from carosac_toolkit.studies.compare.checks import (
     check_truth,
     find_plugin,
 )
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import check_statuses, free_folder
+from carosac_toolkit.studies.run.robot_copies import copy_robots
 from carosac_toolkit.studies.run.run_case import (
     CASE_DRIVER_SETTINGS,
     DEFAULT_DRIVER,
@@ -75,7 +78,8 @@ class Study:
         scheduler: Address of a dask scheduler, or None for processes of this machine.
         workers: Number of processes; 0 runs in this one; None is one per core.
         timeout: Time limit of a case [s].
-        retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
+        retry: Statuses of finished cases to run again: ``diverged``, ``failed``, ``crashed``,
+            ``timed_out``.
         batch: Number of seeds that run together in one simulation, if driver, controller and
             estimator can; 1 is each alone. The rows are the same to rounding, but without
             latencies.
@@ -156,6 +160,11 @@ class Study:
             with remote_client(self.scheduler):
                 pass
 
+    @cached_property
+    def feasibility(self) -> tuple[PathFeasibility, ...]:
+        """Feasibility of the paths with the tensions and winches of each robot, before any run."""
+        return tuple(path_feasibility(self.cases()))
+
     def folder(self) -> Path:
         """Return the folder of the results."""
         return (
@@ -175,13 +184,19 @@ class Study:
         """
         self.check()
         folder = self.folder()
-        rows = run_cases(
-            self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
-            workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
-            batching=self._batching(),
-            progress=progress,
-        )  # fmt: skip
-        return StudyResults(rows=tuple(rows), folder=folder)
+        judged = self.feasibility
+        try:
+            rows = run_cases(
+                self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
+                workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
+                batching=self._batching(),
+                progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:  # what is finished can be viewed
+            copy_robots(folder, self.robots)
+            raise
+        copy_robots(folder, self.robots)
+        return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
 
     def _batching(self) -> Batching | None:
         """Return how cases run together."""

@@ -5,16 +5,24 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-from carosac_toolkit.base.tables import Rows, counted, fit
+from carosac_toolkit.base.tables import Rows, counted
 from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults
+from carosac_toolkit.studies.compare.terminal_table import (
+    cases,
+    limited,
+    percent,
+    tension_range,
+)
 
 ERROR_TABLE_CAPTION = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
     "p95: its 95th percentile; turn: RMSE of the estimated orientation in mrad; sway: RMS in the "
-    "3 s after the end; failed: cases without a score; cycle: latency of estimator and "
-    "controller, 95th percentile."
+    "3 s after the end; tension: least to largest of any cable in N; slack, overload, outside: "
+    "share of time with a cable below tension_min, above tension_max, with the platform outside "
+    "the workspace box; limited: share of commands that a limit changed; cases: those that "
+    "diverged or failed have no score; cycle: latency of estimator and controller, 95th percentile."
 )
 CONSISTENCY_CAPTION = (
     " NEES: normalised estimation error squared, of pose (6) and of pose and twist (12); NIS: "
@@ -24,10 +32,9 @@ CONSISTENCY_CAPTION = (
     "measurement was rejected."
 )
 ERROR_TABLE_COLUMNS = (
-    *AXIS_NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
-    "cycle [ms]",
+    *AXIS_NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "tension [N]",
+    "slack", "overload", "outside", "limited", "cases", "cycle [ms]",
 )  # fmt: skip
-COLUMN_GROUPS = (3, 2, 2, 3, 2, 1)  # columns that stay together
 CONSISTENCY_TITLES = {"nees_pose": "NEES 6", "nees": "NEES 12", "nis": "NIS"}
 REASONS_SHOWN = 3  # of a group
 
@@ -53,22 +60,6 @@ def rows(results: StudyResults) -> Rows:
 def name_columns(results: StudyResults) -> int:
     """Return how many columns on the left hold names."""
     return len(_names(results))
-
-
-def text_table(results: StudyResults, width: int) -> str:
-    """Format the table within a width, in as many blocks as needed."""
-    titles, cells = header(results), rows(results)
-    left = name_columns(results)
-    widths = [max(len(line[i]) for line in [titles, *cells]) for i in range(len(titles))]
-    more = len(_consistency_columns(results))
-    groups = (*COLUMN_GROUPS, more) if more else COLUMN_GROUPS
-    ends = [left + sum(groups[: k + 1]) for k in range(len(groups))]
-    starts = zip([left, *ends], ends, strict=False)
-    numbers = max(sum(w + 2 for w in widths[first:end]) for first, end in starts)
-    shown = max(widths[:left])
-    while shown > 8 and sum(min(w, shown) + 2 for w in widths[:left]) + numbers - 2 > width:
-        shown -= 1
-    return fit(titles, cells, (left, *groups), width, shown=shown)
 
 
 def failures(results: StudyResults) -> list[str]:
@@ -114,9 +105,12 @@ def _cells(line: dict[str, Any]) -> list[str]:
         line["tracking_boundary_m"], line["estimation_rmse_m"]["norm"], line["estimation_p95_m"],
         turn, line["residual_sway_m"],
     ]  # fmt: skip
-    failed = f"{line['failures']}/{line['cases']}"
+    shares = [percent(line[f"{name}_share"]) for name in ("slack", "overload", "outside")]
     latency = line["latency_p95_s"]
-    return [*map(_millimetres, lengths), failed, "-" if latency is None else f"{latency * 1e3:.2f}"]
+    return [
+        *map(_millimetres, lengths), tension_range(line), *shares, limited(line), cases(line),
+        "-" if latency is None else f"{latency * 1e3:.2f}",
+    ]  # fmt: skip
 
 
 def _consistency_columns(results: StudyResults) -> list[str]:

@@ -33,6 +33,10 @@ NUMBER_COLUMNS = (
     "orientation_rmse_rad", "latency_median_s", "latency_p95_s", "latency_p99_s", "wall_time_s",
     "steps", "centre_steps", "limited",
 )  # fmt: skip
+LATER_COLUMNS = (  # which files of earlier versions do not have
+    "tension_min_N", "tension_max_N", "slack_share", "overload_share", "outside_share",
+    "limited_share",
+)  # fmt: skip
 
 
 class OtherSuite(CarosacError):
@@ -69,12 +73,13 @@ def write_rows(parts: Sequence[PartResults]) -> str:
     """Write rows of all parts as CSV: six digits of each number, one row per case."""
     stream = io.StringIO()
     writer: Any = csv.writer(stream, lineterminator="\n")
-    writer.writerow((*TEXT_COLUMNS, *NUMBER_COLUMNS))
+    writer.writerow((*TEXT_COLUMNS, *NUMBER_COLUMNS, *LATER_COLUMNS))
     for part in parts:
         for row in part.rows:
             known = {**row, "reason": row["reason"] or ""}
             cells = [str(known[name]).replace("\n", " ") for name in TEXT_COLUMNS]
-            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBER_COLUMNS)])
+            numbers = (*NUMBER_COLUMNS, *LATER_COLUMNS)
+            writer.writerow([*cells, *(_digits(row.get(name)) for name in numbers)])
     return stream.getvalue()
 
 
@@ -208,9 +213,10 @@ def _row(line: Mapping[str, str | None]) -> Row:
     row: Row = {name: cells[name] for name in TEXT_COLUMNS}
     if row["status"] not in CASE_STATUSES:
         raise InvalidField("status", repr(row["status"]), f"one of {list(CASE_STATUSES)}")
+    cells |= {name: line.get(name) for name in LATER_COLUMNS}
     row |= {
         name: _number(name, cell, float) if (cell := cells[name]) else None
-        for name in NUMBER_COLUMNS
+        for name in (*NUMBER_COLUMNS, *LATER_COLUMNS)
     }
     seed = _number("seed", cells["seed"] or "", int)
     return row | {"seed": seed, "reason": cells["reason"] or None, "settings": "{}"}

@@ -54,7 +54,8 @@ def run_cases(
     Args:
         cases: The cases, all different.
         function: Case function, as ``module:name``: takes a `Case` and returns a flat dict of
-            finite numbers, text, true/false and None. It runs in another process in general.
+            finite numbers, text, true/false and None. It runs in another process in general. A
+            text under ``diverged`` says why its numbers are no score.
         folder: Folder for the rows. A folder that holds fewer cases of the same study is extended.
         scheduler: Address of a dask scheduler to use, such as ``tcp://host:8786``. Its workers
             need one thread each (``--nthreads 1``) and the same version of the toolkit.
@@ -64,8 +65,8 @@ def run_cases(
         timeout: Time limit of a case [s]; a case's own ``settings["timeout"]`` takes precedence.
             It then has 5 s, or once more its time if that is less, before its process is ended.
         attempts: Number of times that a case may kill its process before it is given up.
-        retry: Statuses of finished cases to run again: ``"failed"``, ``"crashed"``,
-            ``"timed_out"``.
+        retry: Statuses of finished cases to run again: ``"diverged"``, ``"failed"``,
+            ``"crashed"``, ``"timed_out"``.
         again: Identities of finished cases to run again, whatever came of them.
         batching: How cases run together; None: each alone. Where one of a batch fails, or its
             process dies, all of it run alone.

@@ -14,7 +14,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.crash_notes import Death, noted, read_death
-from carosac_toolkit.studies.run.rows import Row, checked_values, make_row
+from carosac_toolkit.studies.run.rows import Row, checked_values, make_row, row_of_run
 from carosac_toolkit.studies.run.time_limit import CaseTimeout, TimeLimit
 
 STOP_GRACE_S = (
@@ -117,7 +117,7 @@ def run_attempt(case: Case, task: WorkerTask) -> Row:
     try:
         with TimeLimit(task.timeout):
             values = checked_values(case_function(case, *_own_folder(task)))
-        return make_row(case, "ok", values=values, wall_time=time.perf_counter() - start)
+        return row_of_run(case, values, wall_time=time.perf_counter() - start)
     except CaseTimeout:
         reason = f"stopped after {task.timeout:g} s"
         return make_row(case, "timed_out", reason=reason, wall_time=time.perf_counter() - start)
@@ -142,7 +142,7 @@ def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -
             values = [checked_values(row) for row in batch_function(cases)]
         wall_time = (time.perf_counter() - start) / len(cases)
         return [
-            make_row(case, "ok", values=row, wall_time=wall_time)
+            row_of_run(case, row, wall_time=wall_time)
             for case, row in zip(cases, values, strict=True)
         ]
     except (Exception, SystemExit, CaseTimeout):  # alone, the one to blame says what it was

@@ -12,7 +12,7 @@ from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
 
 Value = bool | int | float | str | None
 Row = dict[str, Value]
-Status = Literal["ok", "failed", "crashed", "timed_out"]
+Status = Literal["ok", "diverged", "failed", "crashed", "timed_out"]
 
 CASE_STATUSES: tuple[str, ...] = get_args(Status)
 OWN_COLUMNS = ("case", "status", "reason", *CASE_COLUMNS, "seed", "settings", "wall_time_s")
@@ -40,8 +40,9 @@ def make_row(
 
     Args:
         case: The case.
-        status: ``"ok"``; ``"failed"``: it raised; ``"timed_out"``: it ran longer than allowed;
-            ``"crashed"``: its process died each time.
+        status: ``"ok"``; ``"diverged"``: it ran to its end, but its errors are no score;
+            ``"failed"``: it raised; ``"timed_out"``: it ran longer than allowed; ``"crashed"``: its
+            process died each time.
         reason: Why it is not ok.
         wall_time: Wall time of the run [s].
         values: Values of the case function, as `checked_values` lets it through.
@@ -50,6 +51,15 @@ def make_row(
     row |= {name: getattr(case, name) for name in (*CASE_COLUMNS, "seed")}
     row |= {"settings": canonical(dict(case.settings)), "wall_time_s": wall_time}
     return row | dict(values or {})
+
+
+def row_of_run(case: Case, values: Mapping[str, Value], *, wall_time: float) -> Row:
+    """Build the row of a case that ran to its end: ``ok``, or ``diverged`` if a value says why."""
+    others = {name: value for name, value in values.items() if name != "diverged"}
+    why = values.get("diverged")
+    status: Status = "ok" if why is None else "diverged"
+    reason = None if why is None else str(why)
+    return make_row(case, status, reason=reason, wall_time=wall_time, values=others)
 
 
 def checked_values(returned: Any) -> dict[str, Value]:

@@ -26,6 +26,8 @@ from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_cond
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.case import Case
+from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
+from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
@@ -80,7 +82,7 @@ def run_case(case: Case) -> dict[str, Any]:
         One flat row: errors in m, latency in s, counts; ``series`` holds what pictures need, as
         JSON text, for the seed ``example_seed`` (default 0) only. On a driver that replays,
         tracking says nothing about the controller and is None; ``command_rmse_m`` compares what
-        it asked with what was sent.
+        it asked with what was sent. ``diverged`` is why its errors are no score, or None.
 
     Raises:
         InvalidField: A setting that nobody reads.
@@ -111,6 +113,8 @@ def run_case(case: Case) -> dict[str, Any]:
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
+    row |= own_words(controller)
+    row[DIVERGED] = divergence(log, robot, replayed=recorded)
     return row | {"series": example_series(case, log)}
 
 

@@ -18,6 +18,8 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.studies.run.case import Case, canonical
+from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
+from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.run_case import (
     DEFAULT_DRIVER,
@@ -90,6 +92,8 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
         cycles = max(1, round((FINAL_REST_S + path.duration) / controller.period))
         alone = log.world(b, cycles)
         row = score(alone, robot, path.duration) | dict.fromkeys(LATENCY_COLUMNS)
+        row |= own_words(controller)
+        row[DIVERGED] = divergence(alone, robot)
         rows.append(row | {"series": example_series(case, alone)})
     return rows
 

@@ -11,6 +11,7 @@ from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, normalised_s
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.loop.values import Belief, Innovations, State
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies.run.limit_scores import limit_scores
 
 UPPER_QUANTILE = 0.95
 ESTIMATION_COLUMNS = (
@@ -25,14 +26,14 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
 
     Args:
         log: Log of the run.
-        robot: The nominal robot, for its workspace box.
+        robot: The nominal robot, for its workspace box and its limits.
         duration: Duration of the trajectory [s]; the platform should rest after it.
         replayed: True if the driver played a recording, on which no controller tracks anything.
 
     Returns:
         Difference of the lengths asked and sent; tracking error (truth minus reference) and
         estimation error (belief minus truth) as root mean squares per axis and in norm [m], and
-        the scores of `estimation_scores`; None where unknown.
+        the scores of `estimation_scores` and `limit_scores`; None where unknown.
     """
     row: dict[str, Any] = {
         "latency_median_s": float(np.median(log.latency)),
@@ -43,6 +44,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
         "completed": log.completed,
         "steps": len(log.time),
     } | estimation_scores(log)
+    row |= limit_scores(log, robot, replayed=replayed)
     if log.position is None:
         return row | _axis_errors("tracking", None) | _axis_errors("estimation", None)
     tracking = (
@@ -68,8 +70,6 @@ def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[
         "tracking_boundary_m": _rms(distance[~central]),
         "centre_steps": int(central.sum()),
         "residual_sway_m": _rms(np.linalg.norm(swing, axis=-1)),
-        "tension_min_N": None if log.tension is None else float(log.tension.min()),
-        "tension_max_N": None if log.tension is None else float(log.tension.max()),
     }
 
 

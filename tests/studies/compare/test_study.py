@@ -8,7 +8,8 @@ import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.studies import read_rows
 from carosac_toolkit.studies.compare.findings import conclusions
-from carosac_toolkit.studies.compare.tables import failures, text_table
+from carosac_toolkit.studies.compare.tables import failures
+from carosac_toolkit.studies.compare.terminal_table import terminal_table
 from carosac_toolkit.studies.run.row_files import part_files
 from tests.studies.tables import bad, case, good, study
 
@@ -73,7 +74,7 @@ def test_a_group_without_any_score_has_nulls_and_is_not_complete():
     assert line["tracking_rmse_m"] == dict.fromkeys(("x", "y", "z", "norm"))
     assert line["tracking_std_m"] is line["latency_p95_s"] is line["residual_sway_m"] is None
     assert not results.complete
-    assert "1/1" in text_table(results, 80)
+    assert "failed 1 of 1" in terminal_table(results, 80)
     json.dumps(results.data(), allow_nan=False)
 
 
@@ -89,15 +90,15 @@ def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
     assert [line["cases"] for line in results.summary] == [2] * len(pairs)
     assert len(set(results.labels)) == len(pairs)
     for width in (80, 120):
-        assert max(map(len, text_table(results, width).splitlines())) <= width
+        assert max(map(len, terminal_table(results, width).splitlines())) <= width
 
 
 def test_long_names_keep_the_table_within_its_width():
     names = [f"a.very.long.package.of.somebody:Controller{k}" for k in range(2)]
     rows = [good(case(name, suite="lengths+imu+pose"), (1, 0, 0)) for name in names]
-    text = text_table(study(rows), 80)
+    text = terminal_table(study(rows), 80)
     assert max(map(len, text.splitlines())) <= 80
-    assert "ontroller0" in text and "ontroller1" in text
+    assert "Controller0 " in text and "Controller1 " in text and "..." not in text
 
 
 def test_sentences_compare_over_the_cases_that_both_finished():
@@ -262,4 +263,4 @@ def test_on_a_recording_nothing_is_tracked(tmp_path):
     line = results.summary[0]
     assert line["failures"] == 0 and line["tracking_rmse_m"]["norm"] is None
     assert line["estimation_rmse_m"]["norm"] > 0.0 and line["command_rmse_m"] > 0.0
-    assert "-" in text_table(results, 80) and conclusions(results) == []
+    assert "-" in terminal_table(results, 80) and conclusions(results) == []

@@ -267,3 +267,15 @@ def test_a_folder_that_is_a_file_is_an_error(tmp_path):
     (tmp_path / "x").touch()
     with pytest.raises((CarosacError, OSError)):
         run(some_cases(1), Path(tmp_path / "x"))
+
+
+def test_a_case_that_diverged_keeps_its_numbers_and_its_reason(tmp_path):
+    cases = some_cases(2)
+    rows = run(cases, tmp_path, "diverge", workers=0)
+    assert [row["status"] for row in rows] == ["ok", "diverged"]
+    assert [row["reason"] for row in rows] == [None, "the platform left"]
+    assert [row["error"] for row in rows] == [1.0, 1.0] and "diverged" not in rows[0]
+    first = rows[1]["wall_time_s"]
+    assert run(cases, tmp_path, "diverge", workers=0)[1]["wall_time_s"] == first
+    again = run(cases, tmp_path, "diverge", workers=0, retry=["diverged"])
+    assert again[1]["wall_time_s"] != first

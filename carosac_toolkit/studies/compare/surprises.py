@@ -1,0 +1,204 @@
+"""Surprises of a study in words: what a reader of its table has to know before believing it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import isclose
+from typing import Any
+
+from carosac_toolkit.studies.compare.results import (
+    COMPARED_COLUMNS,
+    PAIR_COLUMNS,
+    StudyResults,
+    scored,
+)
+from carosac_toolkit.studies.compare.terminal_table import main_limit, percent, short_name
+from carosac_toolkit.studies.run.rows import Row
+
+LIMITED_SHARE_MIN = 0.01  # of the commands: fewer are not worth a sentence
+SLACK_SHARE_MIN = 0.001  # of the time; tensions count from here on
+FALLBACK_SHARE_MIN = 0.01  # of the commands
+SAME_TOLERANCE = 1e-9  # relative: numbers that differ by less are the same
+SAME_COLUMNS = ("tracking_rmse_norm_m", "estimation_rmse_norm_m")
+
+ADVICE = {
+    "jump": (
+        "the command was too far ahead of the measured length. A winch at full speed is {reach} m "
+        "behind, plus the delay of its encoder: raise driver.limits.jump_max above that (--set "
+        "driver.limits.jump_max=METRES), or go slower"
+    ),
+    "speed": "a winch cannot wind as fast as asked: lower --speed, or raise its speed_max",
+    "acceleration": (
+        "a winch cannot accelerate as asked: lower --acceleration, or raise its acceleration_max"
+    ),
+    "jerk": "the acceleration of a cable changed too fast: lower --acceleration, or raise "
+    "driver.limits.jerk_max",
+    "length": "a cable would be shorter or longer than its winch allows: check length_min and "
+    "length_max in the robot file",
+    "box": "the platform would leave the workspace box of the robot file",
+    "length_rate": "the feed-forward rate was above the speed of a winch: lower --speed",
+    "coordination": "cables were held back to stay with the others",
+}
+
+
+def surprises(results: StudyResults) -> list[str]:
+    """Return a sentence for each surprise, the gravest first."""
+    return [
+        *_diverged(results),
+        *_limited(results),
+        *_tensions(results),
+        *_outside(results),
+        *_fallbacks(results),
+        *_identical(results),
+    ]
+
+
+def _labels(results: StudyResults) -> list[str]:
+    """Return short labels of the groups."""
+    return [" / ".join(map(short_name, label.split(" / "))) for label in results.labels]
+
+
+def _lines(
+    results: StudyResults, shown: Callable[[dict[str, Any]], bool]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield label and summary of the groups that are to be named."""
+    for label, line in zip(_labels(results), results.summary, strict=True):
+        if shown(line):
+            yield label, line
+
+
+def _diverged(results: StudyResults) -> Iterator[str]:
+    """Tell which groups diverged, and why the first case did."""
+    for label, line in _lines(results, lambda line: line["diverged"]):
+        reason = next(
+            text for text in line["reasons"] if text.startswith("diverged: ")
+        ).removeprefix("diverged: ")
+        yield (
+            f"{label} diverged in {line['diverged']} of {line['cases']} cases, which are no score "
+            f"and in no mean: {reason}."
+        )
+
+
+def _limited(results: StudyResults) -> Iterator[str]:
+    """Tell whose commands were limited, by what, and what to do, once for each limit."""
+    by_limit: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    for label, line in _lines(
+        results, lambda line: (line["limited_share"] or 0.0) > LIMITED_SHARE_MIN
+    ):
+        name = main_limit(line)
+        if name is not None:
+            by_limit.setdefault(name, []).append((label, line))
+    for name, members in by_limit.items():
+        each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
+        reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
+        advice = ADVICE.get(name, "see driver.limits").format(reach=f"{reach:.2g}")
+        yield (
+            f"Commands were changed by limits before they reached the winches, mostly by {name} "
+            f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
+            "controller."
+        )
+
+
+def _tensions(results: StudyResults) -> Iterator[str]:
+    """Tell whose tensions left their limits."""
+    slack = [
+        f"{label} {percent(line['slack_share'])} of the time, down to {line['tension_min_N']:.3g} N"
+        for label, line in _lines(
+            results, lambda line: (line["slack_share"] or 0.0) > SLACK_SHARE_MIN
+        )
+    ]
+    if slack:
+        low = max(line["tension_limit_low_N"] or 0.0 for line in results.summary)
+        yield (
+            f"Cables went slack, below tension_min ({low:g} N): {'; '.join(slack)}. A slack cable "
+            "does not guide the platform: go slower, or keep farther from the edge of the "
+            "workspace."
+        )
+    over = [
+        f"{label} {percent(line['overload_share'])} of the time, up to "
+        f"{line['tension_max_N']:.4g} N"
+        for label, line in _lines(
+            results, lambda line: (line["overload_share"] or 0.0) > SLACK_SHARE_MIN
+        )
+    ]
+    if over:
+        high = min(line["tension_limit_high_N"] or 0.0 for line in results.summary)
+        yield f"Cables were overloaded, above tension_max ({high:g} N): {'; '.join(over)}."
+
+
+def _outside(results: StudyResults) -> Iterator[str]:
+    """Tell who left the workspace box."""
+    out = [
+        f"{label} {percent(line['outside_share'])} of the time"
+        for label, line in _lines(
+            results, lambda line: (line["outside_share"] or 0.0) > LIMITED_SHARE_MIN
+        )
+    ]
+    if out:
+        yield f"The platform was outside the workspace box: {'; '.join(out)}."
+
+
+def _fallbacks(results: StudyResults) -> Iterator[str]:
+    """Tell who fell back from what it had planned."""
+    for label, line in _lines(
+        results, lambda line: (line["fallback_share"] or 0.0) > FALLBACK_SHARE_MIN
+    ):
+        causes = ", ".join(f"{name} {number}" for name, number in line["fallbacks_by"].items())
+        yield (
+            f"{label} had no new plan in {percent(line['fallback_share'])} of its cycles and fell "
+            f"back on an old plan or on rest ({causes})."
+        )
+
+
+def _identical(results: StudyResults) -> Iterator[str]:
+    """Tell which groups have the same numbers in all cases, and why that may be."""
+    labels = _labels(results)
+    told: set[int] = set()
+    for k, group in enumerate(results.groups):
+        same = [
+            j
+            for j in range(k + 1, len(labels))
+            if j not in told and _same(group, results.groups[j])
+        ]
+        if k in told or not same:
+            continue
+        told |= {k, *same}
+        members = [k, *same]
+        texts = [text for j in members for text in results.summary[j]["remarks"]]
+        names = ", ".join(labels[j] for j in members[:-1]) + f" and {labels[members[-1]]}"
+        why = texts[0] if texts else _possible_reason(results, members)
+        yield f"{names} have the same numbers in every case: {why}."
+
+
+def _possible_reason(results: StudyResults, members: Sequence[int]) -> str:
+    """Say what may make groups identical that differ by name."""
+    varies = [
+        name for name in COMPARED_COLUMNS if len({results.summary[j][name] for j in members}) > 1
+    ]
+    if varies == ["suite"]:
+        return "neither controller nor estimator uses the sensors by which these suites differ"
+    if varies == ["estimator"]:
+        return "these estimators do the same for this robot and these sensors"
+    return "these controllers send the same commands to this robot"
+
+
+def _same(rows: Sequence[Row], others: Sequence[Row]) -> bool:
+    """Return whether two groups have the same errors in the same cases."""
+    if any(rows[0][name] != others[0][name] for name in ("robot", "perturbation")):
+        return False
+    one, other = (
+        {tuple(row[name] for name in PAIR_COLUMNS): row for row in scored(group)}
+        for group in (rows, others)
+    )
+    if not one or one.keys() != other.keys():
+        return False
+    return all(
+        _equal(one[key].get(name), other[key].get(name)) for key in one for name in SAME_COLUMNS
+    )
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Compare two values of a column."""
+    if one is None or other is None:
+        return one is other
+    return isclose(float(one), float(other), rel_tol=SAME_TOLERANCE)

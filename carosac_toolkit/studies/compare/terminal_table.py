@@ -1,0 +1,214 @@
+"""One table of a study for the terminal: errors, tensions, limits, and cases without a score.
+
+Columns that do not fit are left out, never names: the report has all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from carosac_toolkit.base.tables import aligned
+from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults
+from carosac_toolkit.studies.run.rows import CASE_STATUSES
+
+Line = dict[str, Any]
+WHOLE_MM_MIN = 1000.0  # from here on without a decimal
+OWN_LINE_INDENT = "  "
+
+
+class _Column(NamedTuple):
+    """Column of numbers.
+
+    Attributes:
+        title: Its title, with the unit.
+        cell: Its text for a line of the summary.
+        rank: Columns of the highest rank are left out first; 0: never.
+        words: Its explanation.
+    """
+
+    title: str
+    cell: Callable[[Line], str]
+    rank: int
+    words: str
+
+
+def terminal_table(results: StudyResults, width: int) -> str:
+    """Format one table, as wide as names need, with the notes on its rows.
+
+    Args:
+        results: Results of the study.
+        width: Columns are left out until the table fits; where names leave no room, they stand on
+            lines of their own.
+    """
+    names, columns = shown_names(results), _fitting(results, width)
+    cells = [[c.cell(line) for c in columns] for line in results.summary]
+    titles = [c.title for c in columns]
+    labels = [title for title, _ in names]
+    rows = [[texts[k] for _, texts in names] for k in range(len(cells))]
+    if _width(names, results.summary, columns) <= width:
+        table = aligned([*labels, *titles], [[*a, *b] for a, b in zip(rows, cells, strict=True)],
+                        len(names))  # fmt: skip
+    else:
+        first, *others = aligned(titles, cells, 0).splitlines()
+        lines = [" / ".join(labels), OWN_LINE_INDENT + first, OWN_LINE_INDENT + others[0]]
+        for row, numbers in zip(rows, others[1:], strict=True):
+            lines += [" / ".join(row), OWN_LINE_INDENT + numbers]
+        table = "\n".join(lines)
+    notes = [f"[{k}] {text}" for k, text in enumerate(remarks(results), start=1)]
+    return "\n".join([table, *notes])
+
+
+def caption(results: StudyResults, width: int) -> str:
+    """Explain the columns that `terminal_table` shows, and name what all rows have in common."""
+    titles = {title for title, _ in shown_names(results)}
+    shared = [f"{name} {_short(name, results)[0]}" for name in GROUP_COLUMNS if name not in titles]
+    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in _fitting(results, width))
+    start = f"All rows: {', '.join(shared)}. " if shared else ""
+    return f"{start}{words[0].upper()}{words[1:]}. The report has all other numbers."
+
+
+def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
+    """Return title and texts of each name that rows do not share; always the controller's."""
+    numbers = {text: k for k, text in enumerate(remarks(results), start=1)}
+    shown = []
+    for name in GROUP_COLUMNS:
+        if name == "controller" or len({line[name] for line in results.summary}) > 1:
+            texts = _short(name, results)
+            if name == "controller":
+                texts = [
+                    text + "".join(f" [{numbers[x]}]" for x in line["remarks"])
+                    for text, line in zip(texts, results.summary, strict=True)
+                ]
+            shown.append((name, texts))
+    return shown
+
+
+def remarks(results: StudyResults) -> list[str]:
+    """Return all different remarks of controllers, in the order of the rows."""
+    return list(dict.fromkeys(text for line in results.summary for text in line["remarks"]))
+
+
+def _short(name: str, results: StudyResults) -> list[str]:
+    """Return the names of all rows; of a path or ``module:Class`` the end if that tells apart."""
+    whole = [str(line[name]) for line in results.summary]
+    ends = {text: short_name(text) for text in whole}
+    return [ends[text] for text in whole] if len(set(ends.values())) == len(ends) else whole
+
+
+def short_name(text: str) -> str:
+    """Return the stem of a robot file, the class of ``module:Class``, or the name itself."""
+    if text.lower().endswith((".yaml", ".yml")):
+        return Path(text).stem
+    return text.rpartition(":")[2] or text
+
+
+def _fitting(results: StudyResults, width: int) -> list[_Column]:
+    """Return the columns that fit beside the names; where none does, those beneath them."""
+    names, columns = shown_names(results), _columns(results)
+    least = [c for c in columns if c.rank == 0]
+    if _width(names, results.summary, least) > width:  # names stand on lines of their own
+        names, width = [], width - len(OWN_LINE_INDENT)
+    while _width(names, results.summary, columns) > width:
+        last = max(c.rank for c in columns)
+        if last == 0:
+            break
+        columns = [c for c in columns if c.rank < last]
+    return columns
+
+
+def _width(
+    names: Sequence[tuple[str, list[str]]], lines: list[Line], columns: list[_Column]
+) -> int:
+    """Return the width of a table."""
+    widths = [max(len(text) for text in [title, *texts]) for title, texts in names]
+    widths += [max(len(text) for text in [c.title, *map(c.cell, lines)]) for c in columns]
+    return sum(widths) + 2 * (len(widths) - 1)
+
+
+def _columns(results: StudyResults) -> list[_Column]:
+    """Return all columns; those of which no row has a number are left out."""
+    limits = {(line["tension_limit_low_N"], line["tension_limit_high_N"])
+              for line in results.summary}  # fmt: skip
+    low, high = next(iter(limits)) if len(limits) == 1 else (None, None)
+    allowed = "" if low is None else f", allowed are {low:g} to {high:g} N"
+    columns = [
+        _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
+                "RMSE of the platform position [mm]"),
+        _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2,
+                "RMS swing after the end [mm]"),
+        _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]), 1,
+                "RMSE of the estimated position [mm]"),
+        _Column("NEES", _nees, 3, "consistency of the covariance, 1 is right, + overconfident"),
+        _Column("tension [N]", tension_range, 0, f"least to largest of any cable{allowed}"),
+        _Column("slack", lambda x: percent(x["slack_share"]), 0,
+                "share of time with a cable below tension_min"),
+        _Column("limited", limited, 0, "share of commands that a limit changed, and which one"),
+        _Column("cases", cases, 0, "those that diverged or failed have no score"),
+        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency"),
+    ]  # fmt: skip
+    kept = {"tracking", "cases"}
+    return [c for c in columns if c.title in kept or any(c.cell(x) != "-" for x in results.summary)]
+
+
+def _nees(line: Line) -> str:
+    """Format the normalised square of the pose, marked if it is outside its band."""
+    value = line["nees_pose"]
+    if value is None:
+        return "-"
+    low, high = value["band"]
+    mark = "+" if value["mean"] > high else "-" if value["mean"] < low else ""
+    return f"{value['mean']:.3g}{mark}"
+
+
+def _cycle(line: Line) -> str:
+    return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
+
+
+def tension_range(line: Line) -> str:
+    """Format least and largest tension [N]."""
+    if line["tension_min_N"] is None:
+        return "-"
+    return f"{line['tension_min_N']:.3g} to {line['tension_max_N']:.4g}"
+
+
+def limited(line: Line) -> str:
+    """Format the share of limited commands, with the limit that most of them met."""
+    share, name = line["limited_share"], main_limit(line)
+    return percent(share) + (f" {name}" if name and percent(share) not in ("-", "0 %") else "")
+
+
+def main_limit(line: Line) -> str | None:
+    """Return the limit that began most of the limited commands; see `limit_scores`."""
+    counts: dict[str, int] = line["limited_first"] or line["limited_by"]
+    return next(iter(counts), None)
+
+
+def cases(line: Line) -> str:
+    """Format how many cases have a score, and what became of the others."""
+    total, lost = line["cases"], line["failures"]
+    if not lost:
+        return f"{total} ok"
+    parts = [
+        f"{status.replace('_', ' ')} {line['statuses'][status]}"
+        for status in CASE_STATUSES if status != "ok" and line["statuses"].get(status)
+    ]  # fmt: skip
+    return f"{', '.join(parts)} of {total}"
+
+
+def percent(share: float | None) -> str:
+    """Format a share; a small one is not nothing."""
+    if share is None:
+        return "-"
+    if 0.0 < share < 0.005:
+        return "<1 %"
+    return f"{100.0 * share:.0f} %"
+
+
+def millimetres(metres: float | None) -> str:
+    """Format a length in mm."""
+    if metres is None:
+        return "-"
+    value = metres * 1e3
+    return f"{value:.0f}" if value >= WHOLE_MM_MIN else f"{value:.1f}"

@@ -1,0 +1,98 @@
+"""The one table of the terminal, and the sentences on what is surprising in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
+from carosac_toolkit.studies.reference.results import read_rows
+from tests.studies.tables import bad, case, good, study
+
+REFERENCE = Path(__file__).parents[3] / "benchmarks" / "reference"
+CALM = {
+    "tension_min_N": 30.0, "tension_max_N": 90.0, "slack_share": 0.0, "overload_share": 0.0,
+    "outside_share": 0.0, "limited": 0, "tension_limit_low_N": 20.0,
+    "tension_limit_high_N": 500.0, "winch_reach_m": 0.5, "limited_by": "{}", "limited_first": "{}",
+}  # fmt: skip
+LIMITED = {
+    "limited": 44, "limited_by": json.dumps({"acceleration": 44, "jump": 40}),
+    "limited_first": json.dumps({"jump": 43, "jerk": 1}),
+}  # fmt: skip
+
+
+def rows(name="a", error=0.01, **more):
+    return [good(case(name, seed), (error + 0.001 * seed, 0, 0), **CALM | more) for seed in (0, 1)]
+
+
+def test_a_calm_study_has_no_surprise_and_shows_tensions_and_their_limits():
+    results = study([*rows("a"), *rows("b", 0.02)])
+    assert surprises(results) == []
+    text = terminal_table(results, 100)
+    assert "30 to 90" in text and "2 ok" in text and "0 %" in text
+    assert "allowed are 20 to 500 N" in caption(results, 100)
+
+
+def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do():
+    results = study([*rows("a"), *rows("b", 0.02, **LIMITED)])
+    (text,) = surprises(results)
+    assert "mostly by jump (b 44 % of the commands)" in text
+    assert "0.5 m behind" in text and "--set driver.limits.jump_max=METRES" in text
+    assert "44 % jump" in terminal_table(results, 100)
+
+
+def test_slack_and_overloaded_cables_are_told_with_the_limits():
+    more = {"slack_share": 0.34, "tension_min_N": 0.01, "overload_share": 0.02}
+    results = study(rows("a", **more | {"tension_max_N": 700.0}))
+    slack, over = surprises(results)
+    assert "below tension_min (20 N): a 34 % of the time, down to 0.01 N" in slack
+    assert "above tension_max (500 N): a 2 % of the time, up to 700 N" in over
+
+
+def test_diverged_cases_are_counted_told_and_in_no_mean():
+    wild = bad(case("b", 2), "the platform left the box", "diverged") | CALM | {"steps": 100}
+    wild |= {"tracking_rmse_norm_m": 99.0, "tension_min_N": 1.0}
+    results = study([*rows("a"), *rows("b"), wild])
+    line = results.summary[1]
+    assert line["diverged"] == line["failures"] == 1 and line["tracking_rmse_m"]["norm"] < 0.02
+    assert line["tension_min_N"] == 1.0
+    assert "diverged 1 of 3" in terminal_table(results, 100)
+    assert surprises(results)[0] == (
+        "b diverged in 1 of 3 cases, which are no score and in no mean: the platform left the box."
+    )
+
+
+def test_identical_rows_are_told_with_the_remark_of_the_controller():
+    remark = "no mode is slower than 3 Hz: nothing is shaped"
+    results = study([*rows("a"), *rows("b", remark=remark), *rows("c", 0.02)])
+    (text,) = surprises(results)
+    assert text == f"a and b have the same numbers in every case: {remark}."
+    table = terminal_table(results, 100)
+    assert "b [1]" in table and f"[1] {remark}" in table
+    plain = surprises(study([*rows("a"), *rows("b")]))
+    assert "these controllers send the same commands to this robot" in plain[0]
+
+
+def test_fallbacks_are_told_with_their_reasons():
+    counts = json.dumps({"belief": 15, "late": 5})
+    (text,) = surprises(study(rows("mpc", fallbacks=20, fallbacks_by=counts)))
+    assert "no new plan in 20 % of its cycles" in text and "(belief 30, late 10)" in text
+
+
+def test_names_stand_on_lines_of_their_own_where_they_leave_no_room():
+    long = []
+    for k in (0, 1):
+        names = {"robot": f"/far/away/robot{k}.yaml", "suite": "lengths+imu+pose" + "x" * k}
+        long.append(good(case(f"c{k}" * 12, **names), (0.01 + k, 0, 0), **CALM))
+    text = terminal_table(study(long), 80)
+    assert max(map(len, text.splitlines())) <= 80
+    assert f"robot1 / {'c1' * 12} / lengths+imu+posex" in text and "/far" not in text
+
+
+def test_rows_of_before_are_shown_without_the_new_columns():
+    published = [row for row in read_rows(REFERENCE) if row["part"] == "tracking"]
+    results = study(published)
+    assert terminal_table(results, 120) and caption(results, 120)
+    assert all(line["tension_min_N"] is None for line in results.summary)
+    assert not [text for text in surprises(results) if "slack" in text or "diverged" in text]
