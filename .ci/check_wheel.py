@@ -8,7 +8,9 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGES = ("carosac_toolkit", "baselines", "sim_warp", "learned", "calibration")
-ROBOTS = ("carosac", "cogiro", "hangprinter", "ipanema1", "scampi")
+ROBOTS = (
+    "carosac", "cogiro", "desktop", "hangprinter", "ipanema1", "scampi", "stadium", "warehouse",
+)  # fmt: skip
 DATA = (
     "py.typed",
     "recordings/data/synthetic.parquet",

@@ -132,9 +132,12 @@ def test_json_holds_the_numbers_that_are_printed(tmp_path, capsys):
     assert [robot["name"] for robot in data["robots"]] == [
         "carosac",
         "cogiro",
+        "desktop",
         "hangprinter",
         "ipanema1",
         "scampi",
+        "stadium",
+        "warehouse",
     ]
     assert data["robots"][0]["mass_kg"] == 23.655
     out = capsys.readouterr().out

@@ -208,7 +208,9 @@ def test_bundled_robots_are_whole(name):
 
 
 def test_bundled_robots_are_those_of_the_design():
-    assert ct.list_robots() == ("carosac", "cogiro", "hangprinter", "ipanema1", "scampi")
+    assert ct.list_robots() == (
+        "carosac", "cogiro", "desktop", "hangprinter", "ipanema1", "scampi", "stadium", "warehouse",
+    )  # fmt: skip
     robot = ct.load_robot("carosac")
     assert robot.exit_points[2] == pytest.approx([2.71727, 4.77495, 8.36403])
     assert robot.mass == 23.655
