@@ -129,7 +129,8 @@ class InputShaping:
         if self.modes:
             return None
         return (
-            f"no mode of this robot at home is slower than {self._settings.frequency_max:g} Hz: "
+            "no mode of this robot at home is slower than "
+            f"{frequency_max_of(self._robot, self._settings):.3g} Hz: "
             "nothing is shaped, and its commands are those of kinematic_solver"
         )
 
