@@ -71,7 +71,8 @@ def expected_lengths(
     matrix = structure_matrix(robot, where, state.rotation[None])[0]
     loads = np.stack([_wrench(robot, state, turning, settings), _weight(robot, state)], axis=1)
     loads -= _hanging(robot, state.rotation, straight)[:, None]
-    tension, still = np.asarray(np.linalg.lstsq(matrix, loads, rcond=None)[0]).T
+    weight = np.repeat([1.0, 1.0 / settings.moment_lever], 3)[:, None]
+    tension, still = np.asarray(np.linalg.lstsq(weight * matrix, weight * loads, rcond=None)[0]).T
     cables = length_at_tension(robot, where, state.rotation[None], tension[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)

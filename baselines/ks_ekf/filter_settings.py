@@ -37,6 +37,8 @@ class FilterSettings(KsEkfSettings):
         lost_rotation: The same [rad].
         lost_speed: The same [m/s].
         lost_spin: The same [rad/s].
+        moment_lever: At which a force that is left over counts as much as a moment, where tensions
+            cannot balance all [m].
         swing_fade_time: In which a cable's own swing fades to 1/e: a second or two in recordings
             [s].
     """
@@ -60,6 +62,7 @@ class FilterSettings(KsEkfSettings):
     lost_rotation: float = 0.5
     lost_speed: float = Scaled(1.0, "m/s")
     lost_spin: float = Scaled(0.5, "rad/s")
+    moment_lever: float = Scaled(1.0, "m")
     swing_fade_time: float = Scaled(2.0, "s")
 
 

@@ -17,7 +17,7 @@ from baselines.length_readings import (
     LengthReadings,
     reading_tolerances,
 )
-from baselines.smoother.settings import SmootherSettings
+from baselines.smoother.settings import SmootherSettings, smoother_settings_for
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
@@ -117,6 +117,7 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
             poses where they are to be used.
     """
     recording.require_cables(robot)
+    settings = smoother_settings_for(robot, settings)
     run = calibrated(recording, robot)
     _check(run, settings)
     kept, outliers = _believed(run, robot, settings)

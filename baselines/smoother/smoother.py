@@ -17,7 +17,7 @@ from baselines.smoother.error_graph import ErrorGraph, GraphSolution
 from baselines.smoother.forward_pass import ForwardModel, ForwardPass, scales, shifted
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
-from baselines.smoother.settings import SmootherSettings, smoother_settings_for
+from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.scaled import Scaled
@@ -66,12 +66,13 @@ def smooth(
         InvalidField: The recording has not what is needed.
         CarosacError: The robot cannot hang on the first lengths, or has no finite motion.
     """
-    chosen = smoother_settings_for(robot, settings or SmootherSettings())
+    chosen = settings or SmootherSettings()
     end = len(recording.time) if stop is None else stop
     if not 0 <= start < end <= len(recording.time):
         allowed = f"0 <= start < stop <= {len(recording.time)}, the number of samples"
         raise InvalidField("start, stop", f"{start}, {end}", allowed)
     measured = arrange(recording, robot, chosen)
+    chosen = measured.settings
     misfits = find_misfits(measured.recording, robot)
     try:
         last = _settled(measured, robot, chosen, report)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from baselines.length_readings import LengthReadings
+from baselines.length_readings import LengthReadings, reading_tolerances
 
 ROBOT = ct.load_robot("carosac")
+TOLERANCES = reading_tolerances(ROBOT, 3e-4)
 PERIOD, JUMP = 0.02, 0.05
 SLIP = np.array([0.3, -0.25, 0.35, 0.03])
 
@@ -19,7 +20,7 @@ def wound(k: int, period: float = PERIOD) -> np.ndarray:
 
 def heard(wrong, count: int = 200, period: float = PERIOD):
     """Readings k = 0 ... with what is wrong of each."""
-    found = LengthReadings.first(0.0, wound(0, period) + wrong(0))
+    found = LengthReadings.first(0.0, wound(0, period) + wrong(0), TOLERANCES)
     for k in range(1, count):
         found = found.taken(k * period, wound(k, period) + wrong(k), ROBOT, JUMP, 0.0)
     return found
@@ -83,8 +84,8 @@ def test_one_outlier_that_is_heard_again_and_again_is_one():
 
 def test_encoders_of_winches_that_rest_may_slip_one_alone_that_stood_still_came_free():
     still = wound(0)
-    all_rest = LengthReadings.first(0.0, still)
-    one_stuck = LengthReadings.first(0.0, still)
+    all_rest = LengthReadings.first(0.0, still, TOLERANCES)
+    one_stuck = LengthReadings.first(0.0, still, TOLERANCES)
     for k in range(1, 60):
         moved = still + SLIP * (k >= 30)
         all_rest = all_rest.taken(k * PERIOD, moved, ROBOT, JUMP, 0.0)

@@ -11,6 +11,7 @@ from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettin
 from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
 from baselines.dynamic_estimator.model import DynamicModel
 from baselines.dynamic_estimator.rest_start import RestStart
+from baselines.dynamic_estimator.settings import settings_for
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
@@ -129,7 +130,8 @@ def test_poses_find_the_biases_of_the_lengths(robot):
 def test_what_an_imu_off_centre_feels_is_the_motion_of_where_it_sits(robot):
     """Specific force there: second difference of the path of that point, seen in its axes."""
     lever, mount = np.array([0.1, -0.2, 0.05]), np.array([0.3, -0.5, 1.0])
-    settings = DynamicEstimatorSettings(imu_position=tuple(lever), imu_rotation=tuple(mount))
+    mounted = DynamicEstimatorSettings(imu_position=tuple(lever), imu_rotation=tuple(mount))
+    settings = settings_for(robot, mounted)
     model = DynamicModel(robot, settings)
     home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     length = home.unstrained_length[0]
@@ -193,7 +195,7 @@ def test_a_length_that_jumps_farther_than_is_set_is_an_outlier(robot, jump, outl
 def test_vibrations_are_noise_of_the_imu_that_more_samples_do_not_lower(robot, name, channels):
     noise = []
     for value in (0.0, 0.5):
-        settings = DynamicEstimatorSettings(**{name: value})
+        settings = settings_for(robot, DynamicEstimatorSettings(**{name: value}))
         model = DynamicModel(robot, settings)
         home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
         length = home.unstrained_length[0]

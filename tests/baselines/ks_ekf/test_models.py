@@ -10,9 +10,10 @@ import pytest
 
 import carosac_toolkit as ct
 from baselines.ks_ekf import KsEkfSettings, initial_state
-from baselines.ks_ekf.cable_model import SWING_FADE_TIME_S, ExpectedLengths, expected_lengths
+from baselines.ks_ekf.cable_model import ExpectedLengths, expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
+from baselines.ks_ekf.filter_settings import FilterSettings, filter_settings
 from baselines.ks_ekf.filter_state import (
     FIXED_ERROR_COUNT,
     LENGTH_ERRORS,
@@ -30,7 +31,7 @@ from carosac_toolkit.physics.rest import statics
 
 ROBOT = ct.load_robot("carosac")
 SIZE = FIXED_ERROR_COUNT + ROBOT.n
-SETTINGS = KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2]))
+SETTINGS = filter_settings(ROBOT, KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2])))
 
 
 def moving_state() -> KsEkfState:
@@ -167,7 +168,7 @@ def test_pose_is_kept_at_the_origin_where_the_state_is_lost():
         assert again.position == pytest.approx(found.position)
 
 
-def state_at_rest(settings: KsEkfSettings) -> tuple[KsEkfState, statics.Equilibrium]:
+def state_at_rest(settings: FilterSettings) -> tuple[KsEkfState, statics.Equilibrium]:
     """An equilibrium away from home, as the filter sees it."""
     rest = statics.inverse_kinematics(ROBOT, np.array([[1.2, -3.0, 2.4]]))
     force = rest.rotation[0].T @ [0.0, 0.0, 9.81]
@@ -220,7 +221,7 @@ def test_lengths_count_less_where_motion_changes_the_tension():
     state, _ = state_at_rest(SETTINGS)
     blind = replace(SETTINGS, tension_change=0.0)
 
-    def spread(factor: float, settings: KsEkfSettings) -> Array:
+    def spread(factor: float, settings: FilterSettings) -> Array:
         samples = replace(state.samples, force=factor * state.samples.force)
         found = expected_lengths(
             ROBOT, replace(state, samples=samples), np.zeros(3), CableSwing(), settings
@@ -236,7 +237,7 @@ def test_lengths_count_less_where_motion_changes_the_tension():
 def test_pose_of_rest_moves_with_lengths_and_centre_of_mass():
     rest = statics.inverse_kinematics(ROBOT, np.array([[1.0, -3.0, 2.5]]))
     lengths = rest.unstrained_length[0]
-    found = find_rest(ROBOT, lengths, np.zeros(3), None)
+    found = find_rest(ROBOT, lengths, np.zeros(3), None, SETTINGS.length_step)
     assert found is not None
     assert found.position == pytest.approx(rest.position[0], abs=1e-6)
     change = np.array([4e-3, -2e-3, 1e-3, 3e-3])
@@ -246,7 +247,7 @@ def test_pose_of_rest_moves_with_lengths_and_centre_of_mass():
     shift = np.array([4e-3, -3e-3, 2e-3])
     shifted = replace(ROBOT, center_of_mass=ROBOT.center_of_mass + shift)
     other = statics.forward_kinematics(shifted, lengths[None])
-    moved_by_center = find_rest(ROBOT, lengths, shift, None)
+    moved_by_center = find_rest(ROBOT, lengths, shift, None, SETTINGS.length_step)
     assert moved_by_center is not None
     turn = pinocchio.log3(moved_by_center.rotation @ other.rotation[0].T)
     lean = pinocchio.log3(found.rotation @ other.rotation[0].T)
@@ -255,7 +256,7 @@ def test_pose_of_rest_moves_with_lengths_and_centre_of_mass():
 
 
 def test_rest_is_quiet_encoders_and_quiet_imu():
-    settings = KsEkfSettings()
+    settings = filter_settings(ROBOT, KsEkfSettings())
     time = np.arange(0.0, 1.2, 0.005)
     bias, still = np.array([0.01, -0.02, 0.0]), np.zeros((len(time), 3))
     window = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, 4)))
@@ -311,13 +312,13 @@ def test_lengths_of_a_swinging_cable_count_less_until_it_has_calmed_down():
         assert taut.valid.all()
         assert (taut.spread > calm.spread + least).all()
         assert taut.length == pytest.approx(calm.length, abs=1e-9)
-    late = found(taut.swing, 20.0 * SWING_FADE_TIME_S, state.samples)
+    late = found(taut.swing, 20.0 * SETTINGS.swing_fade_time, state.samples)
     assert late.spread == pytest.approx(calm.spread, rel=1e-6)
 
 
 def test_a_robot_whose_lower_cables_hang_loose_by_least_squares_keeps_finite_swings():
     robot = ct.load_robot("ipanema1")
-    settings = KsEkfSettings()
+    settings = filter_settings(robot, KsEkfSettings())
     place = np.array([[-1.16, 0.50, 1.50]])
     state = replace(
         initial_state.blank(robot, settings, 0.0), position=place[0], rotation=np.eye(3),
