@@ -31,7 +31,7 @@ from carosac_toolkit.physics.motion.dynamics import cable_drag_of
 from carosac_toolkit.robot.similar import similar_robot, similarity
 
 DURATION_S = 3.0
-BAR = 1e-6  # solvers stop somewhere: of distances, rotations, speeds and deviations
+BAR = 1e-7  # solvers stop somewhere: of distances, rotations, speeds and deviations
 ESTIMATORS = ("straight_line", "kinematic_solver", "ks_ekf", "dynamic_estimator")
 # Rounding of times, the minute of a unit, and what is longer than any recording.
 NOT_OF_A_ROBOT = {"READING_INTERVAL_MIN_S", "TIME_TOLERANCE_S", "MINUTE_S", "WHOLE_RECORDING_S"}

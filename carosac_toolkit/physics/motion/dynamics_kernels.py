@@ -72,7 +72,6 @@ MOTION_CLOSURE_MAX = wp.constant(
     wp.float64(1.0e-6)
 )  # of the typical length: a larger closure asks for another step
 SAGGING_MODEL = wp.constant(0)
-RELEASE_STEP_S = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
 RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
 
 
@@ -324,11 +323,14 @@ class Freed:
 
 
 @wp.kernel
-def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64):
+def release(
+    plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64,
+    instant: wp.float64,
+):  # fmt: skip
     """Release worlds with the acceleration that their forces give; steps of `h` follow.
 
     With that acceleration the first step needs no past, and is of second order like all others. It
-    is found by one Euler step of a microsecond. Impacts do not change the scheme: motions let go
+    is found by one Euler step of an `instant` [s], in which nothing moves. Impacts do not change the scheme: motions let go
     side by side are compared, and two schemes differ by more than they do.
     """
     b = wp.tid()
@@ -354,15 +356,15 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
         arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
         worlds.anchor_rate[b, i] = wp.vec3d()
-    scheme = scheme_of(RELEASE_STEP_S, ZERO, True, FAST_MOTION_SHARE)
+    scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()
     for _ in range(RELEASE_EVALUATIONS):  # the first times close the cables
         system = inertial_system(body, start, trial, scheme, gusts.force)
         loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
         newton = solve_system(loaded.system)
-    start.velocity_rate = newton.move / (scheme.reach * RELEASE_STEP_S)
-    start.angular_rate = newton.turn / (scheme.reach * RELEASE_STEP_S)
+    start.velocity_rate = newton.move / (scheme.reach * instant)
+    start.angular_rate = newton.turn / (scheme.reach * instant)
     jw = world_inertia(body, start.rotation)
     start.spin_rate = jw * start.angular_rate + wp.cross(omega, start.spin)
     start.acceleration = start.velocity_rate

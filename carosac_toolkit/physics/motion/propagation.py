@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
@@ -22,9 +23,11 @@ from carosac_toolkit.physics.motion import dynamics_kernels
 from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 PROPAGATION_STEP_S = 0.01  # [s]
+INSTANT = Scaled(1e-6, "s")  # in which nothing moves
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,6 +112,7 @@ class Propagation:
         self._buffers.add("exit_tension", self._dynamics.hung.q)
         for name in ("command", "acceleration", "tension", "failed"):
             self._buffers.add(name, getattr(self._worlds, name))
+        self._instant = INSTANT.of(Scales(robot).ratios)
         self._release: Any = None
 
     def load(self, mass: ArrayLike, center_of_mass: ArrayLike) -> None:
@@ -161,7 +165,10 @@ class Propagation:
         if self._release is None:
             self._release = wp.launch(
                 dynamics_kernels.release, self.size,
-                inputs=[self._plants, self._worlds, self._dynamics.hung, self._freed, 0, h],
+                inputs=[
+                    self._plants, self._worlds, self._dynamics.hung, self._freed, 0, h,
+                    self._instant,
+                ],
                 device=self._device, record_cmd=True,
             )  # fmt: skip
         self._release.set_param_at_index(5, h)
