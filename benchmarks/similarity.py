@@ -3,7 +3,7 @@
     python -m benchmarks.similarity                       # the whole table
     python -m benchmarks.similarity --robots carosac --factors 0.1 10 --rows mpc/truth
 
-Robot, path, control period, steps of the simulator, and rates and errors of the sensors are
+Robot, path, control period, and rates and errors of the sensors are
 scaled; all other settings are the defaults. What then differs is a constant in the code.
 """
 
@@ -27,9 +27,8 @@ from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop import loop, plugins
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.robot.similar import similar_robot, similarity
-from carosac_toolkit.studies.run.run_case import FINAL_REST_S, Truth
+from carosac_toolkit.studies.run.run_case import Truth, final_rest
 from carosac_toolkit.studies.run.scores import score
-from sim_warp.driver import TIME_STEP_S
 
 FACTORS = (0.1, 0.3, 3.0, 10.0)
 BAR = 0.02
@@ -111,7 +110,6 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
         asked={
             "suite": "lengths+imu", "sensors": sensors, "period": period,
             "start_position": tuple(world.path.sample(np.zeros(1)).position[0]),
-            "time_step": TIME_STEP_S * ratios.time,
             **asked.get("driver", {}),
         },
     )  # fmt: skip
@@ -126,7 +124,7 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
             plugin, robot, where="estimator",
             asked={**told_of_sensors(estimator_name, ratios), **asked.get("estimator", {})},
         )  # fmt: skip
-    duration = world.path.duration + FINAL_REST_S * ratios.time
+    duration = world.path.duration + final_rest(robot)
     log = loop.run(driver, estimator, controller, world.path, duration=duration)
     scores = score(log, robot, world.path.duration)
     scores["limited_by"] = sorted({hit.limit for _, hit in log.limited})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,27 +11,32 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, as_floats
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import State
 from carosac_toolkit.physics.motion.winch import Encoders, WinchSettings
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import as_seeds
 from sim_warp.options import CableOptions
-from sim_warp.simulator import TIME_STEPS_S, Simulator
+from sim_warp.simulator import TIME_STEPS, Simulator
 
 BATCH_FIELDS = (
     "speed_max", "acceleration_max", "length_min", "length_max", "workspace_min", "workspace_max",
     "gravity",
 )  # fmt: skip
 """Fields that command limits and sensors take from the first robot of a batch."""
-TIME_STEP_S = 5e-3  # one for all sensor suites, so that no sensor changes the motion
+# One for all sensor suites, so that no sensor changes the motion: 5 ms, and a little, so that a
+# robot that differs a little needs no step more in 5 ms.
+TIME_STEP = Scaled(5.05e-3, "s")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimDriverSettings(CableOptions, SimulatedSettings):
     """Settings of `SimDriver`: those of every simulated driver, of the cables, and of the wind.
 
-    A `time_step` of None takes 5 ms, or that of the cable model if shorter.
+    A `time_step` of None takes 5 ms on the robot ``carosac``, and as much longer or shorter as
+    others sway, or that of the cable model if shorter.
 
     Attributes:
         wind_force: Standard deviation of the force of the wind on the platform per horizontal
@@ -48,6 +53,14 @@ class SimDriverSettings(CableOptions, SimulatedSettings):
         SimulatedSettings.__post_init__(self)
         check_not_negative("wind_force", self.wind_force, "N")
         check_positive("wind_time", self.wind_time, "s")
+
+    def derived(self, robot: Robot) -> SimDriverSettings:
+        """Return them with the time step for a robot, where it was left open."""
+        if self.time_step is not None:
+            return self
+        ratios = Scales(robot).ratios
+        step = min(TIME_STEP.of(ratios), TIME_STEPS[self.cables].of(ratios))
+        return replace(self, time_step=step)
 
 
 class SimPlant:
@@ -82,8 +95,8 @@ class SimPlant:
             InvalidField: As `Simulator`.
         """
         chosen = settings or SimDriverSettings()
+        chosen = chosen.derived(robot if isinstance(robot, Robot) else robot[0])
         options = chosen.simulator_options
-        options["time_step"] = chosen.time_step or min(TIME_STEP_S, TIME_STEPS_S[chosen.cables])
         simulator = Simulator(
             robot, worlds=size, seed=seed, winch=chosen.winch,
             wind_force=chosen.wind_force, wind_time=chosen.wind_time, **options,

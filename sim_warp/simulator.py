@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from carosac_toolkit.base.arrays import Array, batch, check_rotations
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.fleet import Fleet
@@ -33,6 +34,7 @@ from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import (
@@ -46,8 +48,9 @@ from sim_warp.snapshot import Snapshot
 from sim_warp.state import StateViews
 
 Cables = Literal["particles", "catenary", "straight", "xpbd"]
-TIME_STEPS_S: dict[str, float] = {
-    "particles": 1.0 / 120.0, "catenary": 1.0 / 70.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
+TIME_STEPS: dict[str, Scaled] = {
+    "particles": Scaled(1.0 / 120.0, "s"), "catenary": Scaled(1.0 / 70.0, "s"),
+    "straight": Scaled(1.0 / 120.0, "s"), "xpbd": Scaled(1e-3, "s"),
 }  # fmt: skip  # defaults by model
 SEGMENTS_MAX = 256
 CALL_STEPS_MAX = 1e6
@@ -81,8 +84,9 @@ class Simulator:
             worlds: Number of worlds B; None: one, or as many as there are robots.
             cables: Model of the cables.
             segments: Segments of a cable, for ``particles`` and ``xpbd``.
-            time_step: Longest time step [s]; None takes 1/120 s (``particles``, ``straight``),
-                1/70 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
+            time_step: Longest time step [s]; None takes, on the robot ``carosac``, 1/120 s
+                (``particles``, ``straight``), 1/70 s (``catenary``) or 1 ms (``xpbd``), and for
+                others as much longer or shorter as they sway. `step` divides its duration evenly.
             device: Warp device.
             seed: Seed of the plants and the wind: one number, from which each world gets its own,
                 or one for each world.
@@ -109,14 +113,16 @@ class Simulator:
             raise InvalidField("cables", repr(cables), f"one of {list(get_args(Cables))}")
         check_whole("segments", segments, 2, SEGMENTS_MAX)
         check_whole("iterations", iterations, 1, None)
-        check_positive("time_step", TIME_STEPS_S[cables] if time_step is None else time_step, "s")
+        if time_step is None:
+            time_step = TIME_STEPS[cables].of(Scales(robots[0]).ratios)
+        check_positive("time_step", time_step, "s")
         drag = cable_drag_of(robots[0]) if cable_drag is None else cable_drag
         check_not_negative("cable_drag", drag, "1/s")
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
         self.segments = segments
-        self.time_step = TIME_STEPS_S[cables] if time_step is None else float(time_step)
+        self.time_step = float(time_step)
         self.device = device
         self.seeds = as_seeds(seed, size)
         self._size = size

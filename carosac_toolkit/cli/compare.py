@@ -21,6 +21,7 @@ from carosac_toolkit.cli.compare_reference import run_suite
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paired import (
@@ -39,6 +40,7 @@ from carosac_toolkit.studies.compare.study import (
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
+from carosac_toolkit.trajectories.catalogue import default_limits
 
 
 def run(options: Options) -> CommandResult:
@@ -122,7 +124,9 @@ def _words(options: Options, study: Study) -> list[str]:
         "--driver", options.driver, "--timeout", f"{options.timeout:g}",
         *(["--baseline", options.baseline] if options.baseline is not None else []),
         *(["--batch", str(options.batch)] if options.batch != 1 else []),
-        "--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}",
+        *(["--speed", f"{options.speed:g}"] if options.speed is not None else []),
+        *(["--acceleration", f"{options.acceleration:g}"] if options.acceleration is not None
+          else []),
         *(word for text in options.settings for word in ("--set", text)),
     ]  # fmt: skip
 
@@ -133,9 +137,24 @@ def _what(study: Study) -> str:
         f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
         f"{', '.join(study.perturbations)}: "
         f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
-        f"({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
-        f"{study.acceleration_max:g} m/s^2, {counted(len(study.seed_list), 'seed')}"
+        f"({', '.join(study.trajectories)}) of up to {_limits(study)}, "
+        f"{counted(len(study.seed_list), 'seed')}"
     )
+
+
+def _limits(study: Study) -> str:
+    """Return largest speed and acceleration in words, from the least to the most of the robots."""
+    each = [default_limits(load_robot(name)) for name in study.robots]
+    words = []
+    for asked, values, unit in zip(
+        (study.speed_max, study.acceleration_max), zip(*each, strict=True), ("m/s", "m/s^2"),
+        strict=True,
+    ):  # fmt: skip
+        numbers = sorted(
+            {f"{x:.3g}" for x in ([asked] if asked is not None else values)}, key=float
+        )
+        words.append(f"{' to '.join(dict.fromkeys((numbers[0], numbers[-1])))} {unit}")
+    return " and ".join(words)
 
 
 def _print(results: StudyResults, surprising: list[str], sentences: list[str], width: int) -> None:

@@ -48,10 +48,11 @@ class Options(CommonOptions):
     driver: str = DEFAULT_DRIVER
     """Driver to control: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
     `module:Class`."""
-    speed: float = 1.0
-    """Largest speed of the trajectories [m/s]."""
-    acceleration: float = 1.0
-    """Largest acceleration of the trajectories [m/s^2]."""
+    speed: float | None = None
+    """Largest speed of the trajectories [m/s]; by default 1 m/s on the robot carosac, and on others
+    as much more or less as their size asks for."""
+    acceleration: float | None = None
+    """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()

@@ -45,6 +45,7 @@ from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings
+from carosac_toolkit.trajectories.catalogue import default_limits
 from carosac_toolkit.viewer.live import LiveWatch, follow
 from carosac_toolkit.viewer.page import (
     DEFAULT_PORT,
@@ -80,10 +81,11 @@ class Options(CommonOptions):
     """With --live: `simulator`, `quasi_static`, or `module:Class` of a simulated driver."""
     suite: str = "lengths"
     """With --live: sensor suite of the driver."""
-    speed: float = 1.0
-    """With --live: largest speed of the reference [m/s]."""
-    acceleration: float = 1.0
-    """With --live: its largest acceleration [m/s^2]."""
+    speed: float | None = None
+    """With --live: largest speed of the reference [m/s]; by default 1 m/s on the robot carosac, on
+    others by their size."""
+    acceleration: float | None = None
+    """With --live: its largest acceleration [m/s^2]; by default 1 m/s^2."""
     rate: float = 100.0
     """With --live: commands a second, for a controller whose period can be chosen."""
     settings: Annotated[
@@ -240,7 +242,11 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     controller = build_controller(options.controller, robot, chosen, period, seed=options.seed)
     estimator = build_estimator(options.estimator, robot, chosen, seed=options.seed)
     driver = _driver(options, robot, chosen["driver_settings"], float(controller.period))
-    limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
+    speed, acceleration = default_limits(robot)
+    limits = {
+        "speed_max": options.speed or speed,
+        "acceleration_max": options.acceleration or acceleration,
+    }
     target = HandTarget(robot, robot.home_position, **limits)
     rehearsed = HandTarget(robot, robot.home_position, **limits)
     rehearse(robot, estimator, controller, rehearsed, suite=options.suite)

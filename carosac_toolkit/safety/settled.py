@@ -20,12 +20,15 @@ def settled(settings: T, robot: Robot) -> T:
     settle its settings for the nominal robot before, so that all plants have the same limits.
 
     Args:
-        settings: Settings of a driver; a field ``limits`` counts for a field ``period``.
+        settings: Settings of a driver. What a method ``derived(robot)`` of them returns counts; a
+            field ``limits`` counts for a field ``period``.
         robot: The nominal robot.
     """
     known: Any = resolved(settings, Scales(robot).ratios)
     limits = getattr(known, "limits", None)
     if isinstance(limits, LimitSettings):
         known = replace(known, limits=limits.of(robot, period=known.period))
+    if hasattr(known, "derived"):
+        known = known.derived(robot)
     chosen: T = known
     return chosen

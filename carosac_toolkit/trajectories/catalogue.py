@@ -8,6 +8,8 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.arcs import circle, spiral
 from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap, random_spline
@@ -15,6 +17,8 @@ from carosac_toolkit.trajectories.moves import line, waypoints
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 BOX_SHARE = 0.7  # share of the box that circle, spiral and line span
+SPEED_MAX, ACCELERATION_MAX = Scaled(1.0, "m/s"), Scaled(1.0, "m/s^2")
+WAYPOINT_REST = Scaled(2.0, "s")  # at each of the waypoints
 
 
 def build(
@@ -22,8 +26,8 @@ def build(
     robot: Robot,
     seed: int = 0,
     *,
-    speed_max: float = 1.0,
-    acceleration_max: float = 1.0,
+    speed_max: float | None = None,
+    acceleration_max: float | None = None,
 ) -> Trajectory:
     """Build a trajectory of the catalogue inside the workspace box of a robot.
 
@@ -32,8 +36,8 @@ def build(
         robot: Whose box it is.
         seed: Draws the points of the random ones, the diagonal of the line and the start angle of
             the others.
-        speed_max: [m/s].
-        acceleration_max: [m/s^2].
+        speed_max: [m/s]; None: as `default_limits`.
+        acceleration_max: [m/s^2]; None: likewise.
 
     Raises:
         InvalidField: A name that is not in the catalogue.
@@ -41,7 +45,19 @@ def build(
     if name not in _TRAJECTORY_BUILDERS:
         raise InvalidField("trajectory", repr(name), f"one of {list(TRAJECTORY_NAMES)}")
     rng = np.random.default_rng(seed)
-    return _TRAJECTORY_BUILDERS[name](robot, rng, speed_max, acceleration_max).within(robot)
+    speed, acceleration = default_limits(robot)
+    speed = speed if speed_max is None else speed_max
+    acceleration = acceleration if acceleration_max is None else acceleration_max
+    return _TRAJECTORY_BUILDERS[name](robot, rng, speed, acceleration).within(robot)
+
+
+def default_limits(robot: Robot) -> tuple[float, float]:
+    """Return speed [m/s] and acceleration [m/s^2] of a path that is not asked to be faster.
+
+    On the robot ``carosac`` they are 1 m/s and 1 m/s^2; other robots take them by their size.
+    """
+    ratios = Scales(robot).ratios
+    return SPEED_MAX.of(ratios), ACCELERATION_MAX.of(ratios)
 
 
 def _box(robot: Robot) -> tuple[Array, Array]:
@@ -59,7 +75,8 @@ def _cubic_spline(robot: Robot, rng: np.random.Generator, v: float, a: float) ->
 
 
 def _waypoints(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
-    return waypoints(draw_points(robot, rng, count=6), rest=2.0, speed_max=v, acceleration_max=a)
+    rest = WAYPOINT_REST.of(Scales(robot).ratios)
+    return waypoints(draw_points(robot, rng, count=6), rest=rest, speed_max=v, acceleration_max=a)
 
 
 def _line(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:

@@ -44,7 +44,7 @@ class DynamicBody:
     size: wp.float64  # typical cable length [m]
 
 
-GUST_INTERVAL_S = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
+GUSTS_PER_TIME = wp.constant(wp.float64(200.0))  # draws of the wind in its correlation time
 FAST_MOTION_SHARE = wp.constant(
     wp.float64(0.7)
 )  # share of very fast motions that is left after a step
@@ -278,12 +278,12 @@ class Wind:
 
 @wp.struct
 class Gusts:
-    """Wind force on one platform [N], interpolated between draws `GUST_INTERVAL_S` apart."""
+    """Wind force on one platform [N], interpolated between draws at equal intervals."""
 
     force: wp.vec3d  # at the end of the last step
     before: wp.vec3d
     after: wp.vec3d
-    count: int  # of instants drawn so far; `after` is the force at (count - 1) GUST_INTERVAL_S
+    count: int  # of instants drawn so far; `after` is the force at (count - 1) intervals
 
 
 @wp.func
@@ -301,14 +301,15 @@ def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
     """Return the wind at a later time [s]; its own grid of draws is independent of the steps."""
     out = gusts
     if wind.deviation > ZERO:
+        interval = wind.time / GUSTS_PER_TIME
         if out.count == 0:
             out.after = draw_gust(wind, out.after, ZERO, seed, 0)  # of the stationary distribution
             out.count = 1
-        keep = wp.exp(-GUST_INTERVAL_S / wind.time)
-        while time > wp.float64(out.count - 1) * GUST_INTERVAL_S:
+        keep = wp.exp(-interval / wind.time)
+        while time > wp.float64(out.count - 1) * interval:
             out.before = out.after
             out.after = draw_gust(wind, out.before, keep, seed, out.count)
             out.count += 1
-        share = time / GUST_INTERVAL_S - wp.float64(out.count - 2)
+        share = time / interval - wp.float64(out.count - 2)
         out.force = out.before + share * (out.after - out.before)
     return out

@@ -37,7 +37,9 @@ from carosac_toolkit.studies.run.run_case import (
     DEFAULT_DRIVER,
     own_settings,
     robot_digest,
+    robot_of,
 )
+from carosac_toolkit.trajectories.catalogue import default_limits
 
 CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
@@ -68,8 +70,9 @@ class Study:
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, ``module:Class``, or class.
-        speed_max: Of the trajectories [m/s].
-        acceleration_max: Of the trajectories [m/s^2].
+        speed_max: Of the trajectories [m/s]; None: 1 m/s on the robot ``carosac``, and as
+            `carosac_toolkit.trajectories.catalogue.default_limits` says for others.
+        acceleration_max: Of the trajectories [m/s^2]; None: 1 m/s^2, likewise.
         controller_settings: By the name or class of a controller, fields of its own settings.
         estimator_settings: By the name or class of an estimator, fields of its own settings.
         driver_settings: Fields of the driver's own settings.
@@ -93,8 +96,8 @@ class Study:
     perturbations: Sequence[str] = ("nominal-1",)
     seeds: int | Sequence[int] = DEFAULT_SEEDS
     driver: Any = DEFAULT_DRIVER
-    speed_max: float = 1.0
-    acceleration_max: float = 1.0
+    speed_max: float | None = None
+    acceleration_max: float | None = None
     controller_settings: Mapping[Any, Mapping[str, Any]] = field(default_factory=dict)
     estimator_settings: Mapping[Any, Mapping[str, Any]] = field(default_factory=dict)
     driver_settings: Mapping[str, Any] = field(default_factory=dict)
@@ -218,8 +221,6 @@ class Study:
         """Return the settings that all cases share; pictures are of the first seed."""
         settings: dict[str, Any] = {
             "driver": self.driver,
-            "speed_max": float(self.speed_max),
-            "acceleration_max": float(self.acceleration_max),
             "example_seed": self.seed_list[0] if self.seed_list else 0,
         }
         if self.driver_settings:
@@ -228,7 +229,15 @@ class Study:
 
     def _settings_of(self, case: Case) -> dict[str, Any]:
         """Return the settings of one case, with those of its controller and estimator."""
-        settings = dict(case.settings) | {"robot_digest": robot_digest(case.robot)}
+        digest = robot_digest(case.robot)
+        speed, acceleration = default_limits(robot_of(case.robot, digest))
+        settings = dict(case.settings) | {
+            "robot_digest": digest,
+            "speed_max": speed if self.speed_max is None else float(self.speed_max),
+            "acceleration_max": (
+                acceleration if self.acceleration_max is None else float(self.acceleration_max)
+            ),
+        }
         if case.controller in self.controller_settings:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])
         if case.estimator in self.estimator_settings:
@@ -246,7 +255,8 @@ def _check(study: Study) -> None:
         CarosacError: What is wrong, and what is allowed.
     """
     for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
-        check_positive(name, getattr(study, name), unit)
+        if getattr(study, name) is not None:
+            check_positive(name, getattr(study, name), unit)
     study.cases()
     _check_execution(study)
     for robot in study.robots:

@@ -14,6 +14,7 @@ from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Log, run
@@ -21,6 +22,7 @@ from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.plugin_errors import BadPlugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
@@ -35,7 +37,7 @@ DEFAULT_DRIVER = "simulator"
 CASE_DRIVER_SETTINGS = (  # what a case says itself
     "suite", "period", "start_position", "scene", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
-FINAL_REST_S = 3.0  # after the trajectory, for the residual sway: more than a period
+FINAL_REST = Scaled(3.0, "s")  # after the trajectory, for the residual sway
 SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
@@ -73,10 +75,10 @@ def run_case(case: Case) -> dict[str, Any]:
     """Run and score one case.
 
     Settings that are read: ``driver`` (default `DEFAULT_DRIVER`), ``speed_max`` [m/s],
-    ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
-    ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
-    for each settings dataclass inside them; what stands under the name of a driver is for it
-    alone); ``timeout`` is read by `run_cases`.
+    ``acceleration_max`` [m/s^2] of the trajectory (default: `default_limits` of the robot),
+    ``controller_settings``, ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's
+    own settings, a dict for each settings dataclass inside them; what stands under the name of a
+    driver is for it alone); ``timeout`` is read by `run_cases`.
 
     Returns:
         One flat row: errors in m, latency in s, counts; ``series`` holds what pictures need, as
@@ -103,9 +105,10 @@ def run_case(case: Case) -> dict[str, Any]:
         "drivers", name, plant, case, "driver_settings", driver_settings, nominal=robot
     )
     estimator = estimator_of(case, robot, driver)
-    duration = (
-        FINAL_REST_S + path.duration if path else controller.period * len(driver.recording.time)
-    )
+    if path is None:
+        duration = controller.period * len(driver.recording.time)
+    else:
+        duration = final_rest(robot) + path.duration
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
         rehearse(robot, estimator, controller, path, suite=case.suite)
@@ -120,8 +123,13 @@ def run_case(case: Case) -> dict[str, Any]:
 
 def path_of(case: Case, robot: Robot) -> Trajectory:
     """Return the trajectory that a case draws."""
-    limits = {x: float(case.settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
+    limits = {x: case.settings.get(x) for x in ("speed_max", "acceleration_max")}
     return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
+
+
+def final_rest(robot: Robot) -> float:
+    """Return the time after a trajectory that is simulated and scored for residual sway [s]."""
+    return FINAL_REST.of(Scales(robot).ratios)
 
 
 def estimator_of(case: Case, robot: Robot, driver: object) -> Any:

@@ -23,11 +23,11 @@ from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.run_case import (
     DEFAULT_DRIVER,
-    FINAL_REST_S,
     build_part,
     digest_of,
     estimator_of,
     example_series,
+    final_rest,
     given_to_driver,
     known_settings,
     path_of,
@@ -84,12 +84,13 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     if getattr(driver, "real_time", False):
         raise CarosacError("a driver in real time runs one case at a time")
     estimator = estimator_of(first, robot, driver)
-    log = run(driver, estimator, controller, paths, duration=FINAL_REST_S + paths.duration)
+    rest = final_rest(robot)
+    log = run(driver, estimator, controller, paths, duration=rest + paths.duration)
     if not log.completed:
         raise CarosacError("the driver stopped before the end")
     rows = []
     for b, (case, path) in enumerate(zip(cases, paths.paths, strict=True)):
-        cycles = max(1, round((FINAL_REST_S + path.duration) / controller.period))
+        cycles = max(1, round((rest + path.duration) / controller.period))
         alone = log.world(b, cycles)
         row = score(alone, robot, path.duration) | dict.fromkeys(LATENCY_COLUMNS)
         row |= own_words(controller)
