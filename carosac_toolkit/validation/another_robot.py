@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.file import list_robots, load_robot
@@ -38,15 +37,11 @@ def cable_count_hint(recording: Recording, robot: Robot) -> str:
 
 
 def _named(recording: Recording, robot: Robot) -> Iterator[str]:
-    """Compare with the robot that the recording names, if that can be read from here."""
+    """Compare with the bundled robot that the recording names; a file may have changed since."""
     name = recording.metadata.robot
-    if not name:
+    if name not in list_robots():
         return
-    try:
-        named = load_robot(name)
-    except CarosacError:  # a file that is elsewhere
-        return
-    different = list(_differences(named, robot))
+    different = list(_differences(load_robot(name), robot))
     if different:
         yield (
             f"This is a recording of another robot: it names {name}, and is compared with "

@@ -97,7 +97,7 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     for line in data["summary"]:
         assert f"{line['tracking_rmse_m']['norm'] * 1e3:.1f}" in out
     assert max(map(len, out.splitlines())) <= 80
-    assert "estimate: RMSE of the estimated position" in " ".join(out.split())
+    assert "tension: least to largest of any cable, allowed are 5 to 500 N" in " ".join(out.split())
     assert len([line for line in out.splitlines() if line.startswith("----")]) == 1  # one table
     assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
     kinds = {path.suffix for path in Path("out").iterdir()}

@@ -102,7 +102,7 @@ def _limited(results: StudyResults) -> Iterator[str]:
 def _tensions(results: StudyResults) -> Iterator[str]:
     """Tell whose tensions left their limits."""
     slack = [
-        f"{label} {percent(line['slack_share'])} of the time, down to {line['tension_min_N']:.3g} N"
+        f"{label} {percent(line['slack_share'])} of the time, down to {line['tension_min_N']:.2g} N"
         for label, line in _lines(
             results, lambda line: (line["slack_share"] or 0.0) > SLACK_SHARE_MIN
         )

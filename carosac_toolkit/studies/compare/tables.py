@@ -63,14 +63,18 @@ def name_columns(results: StudyResults) -> int:
 
 
 def failures(results: StudyResults) -> list[str]:
-    """List the groups that lost cases, and why; indented lines belong to the one above."""
+    """List the groups with cases that failed, and why; indented lines belong to the one above.
+
+    Cases that diverged are a matter of `surprises`.
+    """
     lines = []
     for label, line in zip(results.labels, results.summary, strict=True):
-        if not line["failures"]:
+        failed = line["failures"] - line["diverged"]
+        if not failed:
             continue
         cases = counted(line["cases"], "case")
-        lines.append(f"{label}: {line['failures']} of {cases} without a score")
-        listed = list(line["reasons"].items())
+        lines.append(f"{label}: {failed} of {cases} without a score")
+        listed = [one for one in line["reasons"].items() if not one[0].startswith("diverged: ")]
         lines += [
             f"  {count} {textwrap.shorten(reason, 200, placeholder=' ...')}"
             for reason, count in listed[:REASONS_SHOWN]

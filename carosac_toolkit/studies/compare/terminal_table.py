@@ -15,6 +15,7 @@ from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
 Line = dict[str, Any]
 WHOLE_MM_MIN = 1000.0  # from here on without a decimal
+TWO_DIGITS_MAX_N = 10.0  # below it a tension has two digits, else no decimals
 OWN_LINE_INDENT = "  "
 
 
@@ -170,7 +171,12 @@ def tension_range(line: Line) -> str:
     """Format least and largest tension [N]."""
     if line["tension_min_N"] is None:
         return "-"
-    return f"{line['tension_min_N']:.3g} to {line['tension_max_N']:.4g}"
+    return f"{_newtons(line['tension_min_N'])} to {_newtons(line['tension_max_N'])}"
+
+
+def _newtons(tension: float) -> str:
+    """Format a tension: two digits where it is small."""
+    return f"{tension:.2g}" if tension < TWO_DIGITS_MAX_N else f"{tension:.0f}"
 
 
 def limited(line: Line) -> str:
