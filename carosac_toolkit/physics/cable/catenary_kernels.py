@@ -223,7 +223,7 @@ def guess_tension_vector(
 ) -> wp.vec3d:
     """Guess q for a cable of this length hanging between two points d apart."""
     span = wp.sqrt(d[0] * d[0] + d[1] * d[1])
-    chord = wp.sqrt(wp.dot(d, d)) + wp.float64(1.0e-12)
+    chord = wp.max(wp.sqrt(wp.dot(d, d)), wp.float64(1.0e-12) * length)
     if length < wp.float64(1.03) * chord:
         t = taut_tension(chord, span, length, w, ea)
         return t / chord * d + wp.vec3d(ZERO, ZERO, HALF * w * length)

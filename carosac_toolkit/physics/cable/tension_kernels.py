@@ -108,7 +108,7 @@ def least_tension(anchor: wp.vec3d, cable: Cable) -> wp.float64:
     """
     d = straight_to(cable, anchor)
     reach = d.unit * d.length
-    span = wp.sqrt(reach[0] * reach[0] + reach[1] * reach[1]) + wp.float64(1.0e-9)
+    span = wp.sqrt(reach[0] * reach[0] + reach[1] * reach[1]) + wp.float64(1.0e-9) * d.length
     w = cable.weight_per_length
     left = wp.log(wp.float64(1.0e-3))
     right = wp.log(wp.float64(20.0))

@@ -20,6 +20,7 @@ from carosac_toolkit.physics.cable.tension_kernels import (
     LEAST_TENSION_FACTOR_WIDE,
 )
 from carosac_toolkit.physics.device_kernels import Cable, StaticBody
+from carosac_toolkit.physics.rest.bounded_kernels import bounded_tensions
 from carosac_toolkit.physics.rest.inverse_kernels import (
     STATUS_CONVERGED,
     STATUS_FAILED,
@@ -33,10 +34,14 @@ from carosac_toolkit.physics.rest.inverse_kernels import (
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
+    add_lever,
+    descent_step,
+    gravity_balance,
     mat66d,
     orthonormal,
     rotation_of,
     scaled_norm,
+    turned,
 )
 from carosac_toolkit.physics.rest.start_kernels import START_TILT_RAD, fit_straight
 
@@ -45,6 +50,10 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 mat99d = wp.types.matrix((9, 9), wp.float64)
 vec9d = wp.types.vector(9, wp.float64)
 
+RIDGE_MIN = wp.constant(wp.float64(1.0e-3))  # curvature of squared tensions by rotation [weight^2]
+RIDGE_MAX = wp.constant(wp.float64(1.0e6))
+TURNS_MAX = wp.constant(60)
+POINT_SHARE = wp.constant(wp.float64(2.0e-3))  # of a cable: 20 times what straight cables fit to
 FREE_ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
 
 
@@ -127,22 +136,26 @@ def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Stat
 
 
 @wp.func
-def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
-    """Return the derivatives of a cable's tension by multipliers and rotation."""
+def optimality_row(column: vec6d, twist: wp.vec3d, weight: wp.float64) -> vec9d:
+    """Return the derivatives of a cable's tension, in weights, by multipliers and rotation."""
     return vec9d(
         column[0], column[1], column[2], column[3], column[4], column[5],
-        twist[0], twist[1], twist[2],
+        twist[0] / weight, twist[1] / weight, twist[2] / weight,
     )  # fmt: skip
 
 
 @wp.func
-def optimality_step(b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
+def optimality_step(b: int, body: StaticBody, balance_wrench: vec6d, stiffness: mat66d,
                     curvature: wp.mat33d, ridge: wp.float64, poses: Poses) -> vec9d:  # fmt: skip
-    """Return the Newton step (multipliers, rotation) for the cables now held at limits."""
+    """Return the Newton step (multipliers, rotation) for the cables now held at limits.
+
+    All in weights and typical lever arms, so that the pivots do not depend on the robot's size.
+    """
+    weight = body.weight
     matrix = mat99d()
     right = vec9d()
     for i in range(6):
-        lever = wp.where(i < 3, ONE, arm)
+        lever = weight * wp.where(i < 3, ONE, body.arm)
         right[i] = -balance_wrench[i] / lever
         matrix[i, i] = wp.float64(1.0e-13)
         for j in range(3):
@@ -150,16 +163,16 @@ def optimality_step(b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.fl
             matrix[6 + j, i] = -stiffness[i, 3 + j] / lever
     for i in range(3):
         for j in range(3):
-            matrix[6 + i, 6 + j] = -curvature[i, j]
+            matrix[6 + i, 6 + j] = -curvature[i, j] / (weight * weight)
         matrix[6 + i, 6 + i] = matrix[6 + i, 6 + i] - ridge
     for i in range(poses.tension.shape[1]):
-        line = optimality_row(poses.column[b, i], poses.twist[b, i])
+        line = optimality_row(poses.column[b, i], poses.twist[b, i], weight)
         if poses.bound[b, i] == 0:
             matrix = matrix + wp.outer(line, line)
-            right = right + poses.tension[b, i] * line
+            right = right + poses.tension[b, i] / weight * line
         else:
             held = wp.where(poses.bound[b, i] == 1, poses.lower[b, i], poses.upper[b, i])
-            right = right - (held - poses.tension[b, i]) * line
+            right = right - (held - poses.tension[b, i]) / weight * line
     return solve9(matrix, right)
 
 
@@ -184,7 +197,7 @@ def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
 
 
 @wp.func
-def choose(b: int, step: vec9d, poses: Poses) -> Choice:
+def choose(b: int, weight: wp.float64, step: vec9d, poses: Poses) -> Choice:
     """Choose tensions of a step, and which cables to hold at a limit.
 
     n tensions and 3 rotations fulfil 6 balances, so no more than n - 3 cables can be held. Those
@@ -199,7 +212,8 @@ def choose(b: int, step: vec9d, poses: Poses) -> Choice:
     for i in range(poses.tension.shape[1]):
         low = poses.lower[b, i]
         high = poses.upper[b, i]
-        t = wp.dot(optimality_row(poses.column[b, i], poses.twist[b, i]), step)
+        line = optimality_row(poses.column[b, i], poses.twist[b, i], weight)
+        t = weight * wp.dot(line, step)
         side = beyond(low, high, t)
         if side != 0 or poses.bound[b, i] != 0 or beyond(low, high, poses.tension[b, i]) != 0:
             out.inside = 0
@@ -219,10 +233,9 @@ def choose(b: int, step: vec9d, poses: Poses) -> Choice:
         out.slope += poses.tension[b, i] * (t - poses.tension[b, i])
         out.jump = wp.max(out.jump, wp.abs(t - poses.tension[b, i]))
     if worst >= 0 and held < poses.tension.shape[1] - 3:
-        line = optimality_row(poses.column[b, worst], poses.twist[b, worst])
-        poses.bound[b, worst] = beyond(
-            poses.lower[b, worst], poses.upper[b, worst], wp.dot(line, step)
-        )
+        line = optimality_row(poses.column[b, worst], poses.twist[b, worst], weight)
+        t = weight * wp.dot(line, step)
+        poses.bound[b, worst] = beyond(poses.lower[b, worst], poses.upper[b, worst], t)
         out.changed = 1
     return out
 
@@ -248,15 +261,15 @@ def search(b: int, body: StaticBody, wrench: vec6d, stiffness: mat66d, curvature
     tries = int(0)
     searching = bool(True)
     while searching:
-        out.step = optimality_step(b, wrench, stiffness, body.arm, curvature, ridge, poses)
-        out.choice = choose(b, out.step, poses)
+        out.step = optimality_step(b, body, wrench, stiffness, curvature, ridge, poses)
+        out.choice = choose(b, body.weight, out.step, poses)
         tries += 1
         searching = out.choice.changed == 1 and tries < 12
         rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
-        steep = ridge >= wp.float64(1.0e8) * body.weight
+        steep = ridge >= RIDGE_MAX
         free = out.choice.inside == 1
         if not searching and rising and balanced and free and not steep:
-            ridge = wp.max(ridge * wp.float64(4.0), body.weight * body.arm)
+            ridge = wp.max(ridge * wp.float64(4.0), RIDGE_MIN)
             tries = 0
             searching = True
     return out
@@ -270,6 +283,15 @@ def verdict(b: int, tension: wp.array2d(dtype=wp.float64), poses: Poses) -> int:
         if tension[b, i] < poses.lower[b, i] - slip or tension[b, i] > poses.upper[b, i] + slip:
             return STATUS_INFEASIBLE
     return STATUS_CONVERGED
+
+
+@wp.func
+def forces(b: int, body: StaticBody, poses: Poses) -> wp.float64:
+    """Return the sum of the forces on the platform [N]: rounding errors grow with it."""
+    total = body.weight
+    for i in range(poses.tension.shape[1]):
+        total += poses.tension[b, i]
+    return total
 
 
 @wp.struct
@@ -308,14 +330,14 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody
         step = newton.step
         turn = wp.vec3d(step[6], step[7], step[8])
         angle = wp.length(turn)
-        dual_force = wp.vec3d(step[0], step[1], step[2])
-        dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
+        dual_force = body.weight * wp.vec3d(step[0], step[1], step[2])
+        dual_moment = body.weight / body.arm * wp.vec3d(step[3], step[4], step[5])
         steady = (
             newton.choice.jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
             and angle <= wp.float64(10.0) * TENSION_CHANGE_PER_WEIGHT
         )
         if (
-            norm <= TENSION_RESIDUAL_PER_WEIGHT * body.weight
+            norm <= TENSION_RESIDUAL_PER_WEIGHT * forces(b, body, poses)
             and steady
             and newton.choice.changed == 0
         ):
@@ -334,6 +356,50 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody
 
 
 @wp.func
+def is_point(cables: wp.array2d(dtype=Cable), row: int, body: StaticBody, n: int) -> int:
+    """Return 1 if the platform is so small that straight cables turn it by chance."""
+    largest = wp.float64(0.0)
+    for i in range(n):
+        largest = wp.max(largest, wp.length(cables[row, i].anchor_point))
+    return wp.where(largest < POINT_SHARE * body.size, 1, 0)
+
+
+@wp.func
+def balance_forces(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                   p: wp.vec3d, r: wp.mat33d, poses: Poses):  # fmt: skip
+    """Set the least squared tensions within their limits that carry the weight, moments aside."""
+    for i in range(poses.tension.shape[1]):
+        s = straight_to(cables[row, i], p + r * cables[row, i].anchor_point)
+        poses.column[b, i] = vec6d(s.unit[0], s.unit[1], s.unit[2], ZERO, ZERO, ZERO)
+        poses.middle[b, i] = ZERO
+    target = vec6d(ZERO, ZERO, body.weight, ZERO, ZERO, ZERO)
+    bounded_tensions(poses.column, poses.lower, poses.upper, poses.middle, b, target, poses.tension)
+
+
+@wp.func
+def turn_freely(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                p: wp.vec3d, first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return the rotation nearby in which constant tensions and the weight turn no further."""
+    r = first
+    none = wp.mat33d()
+    for _step in range(TURNS_MAX):
+        total = gravity_balance(body, r)
+        for i in range(poses.tension.shape[1]):
+            arm = r * cables[row, i].anchor_point
+            s = straight_to(cables[row, i], p + arm)
+            force = poses.tension[b, i] * s.unit
+            total = add_lever(total.stiffness, total.wrench, arm, force, none)
+        for i in range(3):  # the position is held
+            total.wrench[i] = ZERO
+            total.stiffness[i, i] = body.weight / body.size
+        moment = wp.vec3d(total.wrench[3], total.wrench[4], total.wrench[5])
+        if wp.length(moment) < wp.float64(1.0e-9) * body.weight * body.arm:
+            break
+        r = turned(r, descent_step(total, body, ONE, wp.float64(0.5)).step)
+    return r
+
+
+@wp.func
 def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
     """Return the initial rotation, twice, then four tilted ones."""
     tilt = wp.vec3d()
@@ -347,7 +413,8 @@ def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     """Find least squared tensions in equilibrium, rotation free, from a stable rest nearby.
 
     Where that fails, once more with a wider margin over the least tension of a hanging cable, then
-    from other rotations; what is reported then is the last attempt.
+    from other rotations; what is reported then is the last attempt. How a search ends that leads
+    nowhere depends on rounding, so all of them get one status.
     """
     b = wp.tid()
     row = wp.min(b, cables.shape[0] - 1)
@@ -357,10 +424,16 @@ def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     out = TensionSearch()
     steps = int(0)
     attempt = int(0)
+    point = is_point(cables, row, body, poses.tension.shape[1])
     while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
-        r = fit_straight(cables, row, b, body, p, start_rotation(attempt, first_rotation), poses)
+        r = start_rotation(attempt, first_rotation)
+        if point == 0:
+            r = fit_straight(cables, row, b, body, p, r, poses)
         margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
         set_limits(cables, row, b, body, p, r, margin, poses)
+        if point == 1:
+            balance_forces(cables, row, b, body, p, r, poses)
+            r = turn_freely(cables, row, b, body, p, r, poses)
         first_tensions(cables, row, b, p, r, poses)
         for i in range(poses.tension.shape[1]):
             poses.bound[b, i] = 0
@@ -368,5 +441,5 @@ def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
         steps += out.steps
         attempt += 1
     poses.rotation[b] = out.rotation
-    poses.status[b] = out.status
+    poses.status[b] = wp.where(out.status == STATUS_CONVERGED, STATUS_CONVERGED, STATUS_INFEASIBLE)
     poses.steps[b] = steps
