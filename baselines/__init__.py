@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from baselines.kinematic_solver import KinematicSolver, KinematicSolverSettings
     from baselines.kinematic_solver_controller import (
         KinematicSolverController,
+        KinematicSolverControllerSettings,
         UnreachableReference,
     )
     from baselines.ks_ekf import KsEkf, KsEkfSettings
@@ -32,6 +33,7 @@ __all__ = [
     "InputShapingSettings",
     "KinematicSolver",
     "KinematicSolverController",
+    "KinematicSolverControllerSettings",
     "KinematicSolverSettings",
     "KsEkf",
     "KsEkfSettings",
@@ -59,6 +61,7 @@ _MODULES = {
     "InputShapingSettings": "input_shaping",
     "KinematicSolver": "kinematic_solver",
     "KinematicSolverController": "kinematic_solver_controller",
+    "KinematicSolverControllerSettings": "kinematic_solver_controller",
     "KinematicSolverSettings": "kinematic_solver",
     "KsEkf": "ks_ekf",
     "KsEkfSettings": "ks_ekf",

@@ -101,7 +101,7 @@ class LookaheadController(ABC):
         cls, robot: Robot, settings: LookaheadSettings | None = None, *, seed: int = 0
     ) -> Self:
         """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
-        return cls(robot, settings or LookaheadSettings())
+        return cls(robot, settings or cls.Settings())
 
     def reset(self, belief: Belief) -> None:
         """Forget the correction."""

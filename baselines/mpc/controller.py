@@ -62,7 +62,7 @@ class Mpc:
         self._planner = Planner(robot, settings)
         self._observer = Observer(robot, settings)
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
-        self._targets = TargetReader(robot, self._planner.grid)
+        self._targets = TargetReader(robot, self._planner.grid, settings.distribution)
         self._rest = RestFallback(robot)
         self._agreement = BeliefGate(settings.period, scales.ratios)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.rest.tension_problem import DistributionName, check_distribution
 
 Compiled = Literal["auto", "always", "never"]
 
@@ -42,6 +43,8 @@ class MpcSettings:
             as if the belief told it.
         time_budget: Longest solve [s], by the wall clock; later ones are thrown away. None: any,
             so that runs can be repeated.
+        distribution: Which tensions a robot of more than six cables is to have, as in
+            `tension_distribution`; fewer than six have no choice.
         compiled: Whether the stage function is compiled: if there is a C compiler (``auto``),
             ``always`` or ``never``.
     """
@@ -60,6 +63,7 @@ class MpcSettings:
     disturbance_time: float = Scaled(0.18, "s")
     center_of_mass: float = Scaled(0.02, "m")
     time_budget: float | None = None
+    distribution: DistributionName = "least_squares"
     compiled: Compiled = "auto"
 
     def __post_init__(self) -> None:
@@ -67,12 +71,13 @@ class MpcSettings:
         check_whole("stages", self.stages, 2)
         zero = [item.name for item in fields(self) if item.name.endswith("_weight")]
         zero.append("center_of_mass")
-        apart = (*zero, "stages", "compiled", "time_budget", "jerk_max")
+        apart = (*zero, "stages", "distribution", "compiled", "time_budget", "jerk_max")
         positive = [item.name for item in fields(self) if item.name not in apart]
         check_fields(self, positive=positive, not_negative=zero)
         for name, unit in (("time_budget", "s"), ("jerk_max", "m/s^3")):
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name), unit)
+        check_distribution(self.distribution)
         if self.compiled not in get_args(Compiled):
             raise InvalidField("compiled", repr(self.compiled), f"one of {get_args(Compiled)}")
         if not isinstance(self.lookahead, Scaled) and not self.lookahead > 2.0 * self.period:

@@ -12,6 +12,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.tension_problem import DistributionName, check_distribution
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -27,8 +28,12 @@ class TargetReader:
         no_rest: References at which there was no rest, since the reset.
     """
 
-    def __init__(self, robot: Robot, grid: Array) -> None:
-        """Take the times of a plan from now [s], shape (N + 1,)."""
+    def __init__(
+        self, robot: Robot, grid: Array, distribution: DistributionName = "least_squares"
+    ) -> None:
+        """Take the times of a plan from now [s], shape (N + 1,), and which tensions to choose."""
+        check_distribution(distribution, robot.n)
+        self._distribution = distribution
         self._robot, self._grid, ratios = robot, grid, Scales(robot).ratios
         self._near, self._speed = CHASE_DISTANCE_MAX.of(ratios), APPROACH_SPEED.of(ratios)
         self.reset()
@@ -93,7 +98,9 @@ class TargetReader:
         guess = None
         if self._robot.n < 6:
             guess = Pose(position=ends, rotation=np.tile(self._robot.home_rotation, (2, 1, 1)))
-        rest = statics.inverse_kinematics(self._robot, ends, guess=guess)
+        rest = statics.inverse_kinematics(
+            self._robot, ends, guess=guess, distribution=self._distribution
+        )
         good = rest.converged[:, None]
         self._tension = np.where(good, rest.tension, self._tension)
         self.no_rest += int((~rest.converged).sum())

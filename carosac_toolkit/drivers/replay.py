@@ -23,8 +23,8 @@ class ReplaySettings:
 
     Attributes:
         recording: A file, or the name of a bundled recording.
-        suite: What of the recording `Measurement` carries; length rates and tensions always. None:
-            all it has but poses.
+        suite: What of the recording `Measurement` carries; length rates and tensions always, and a
+            suite with tensions needs them. None: all it has but poses.
     """
 
     recording: str = "synthetic"
@@ -49,7 +49,11 @@ class ReplayDriver:
     def __init__(self, robot: Robot, recording: Recording, settings: ReplaySettings) -> None:
         recording.require_cables(robot)
         suite = settings.suite
-        for sensor, data in (("imu", recording.imu), ("pose", recording.poses)):
+        for sensor, data in (
+            ("imu", recording.imu),
+            ("pose", recording.poses),
+            ("tension", recording.tension),
+        ):
             if suite is not None and sensor in suite and data is None:
                 allowed = f"one without {sensor}: the recording has none"
                 raise InvalidField("suite", repr(suite), allowed)

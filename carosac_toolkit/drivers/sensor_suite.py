@@ -257,6 +257,6 @@ def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine
         lines["pose"] = DelayLine(settings.pose_rate, settings.pose_delay)
     if "imu" in parts:
         lines["imu"] = DelayLine(settings.imu_rate, settings.imu_delay)
-    if settings.tension:
+    if settings.tension or "tension" in parts:
         lines["tension"] = DelayLine(settings.tension_rate, settings.tension_delay)
     return lines

@@ -13,7 +13,10 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 
-SENSOR_SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
+SENSOR_SUITES = (
+    "lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose", "lengths+tension",
+    "lengths+imu+tension",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +39,8 @@ class SensorSettings:
         specific_force_noise: Per axis and sample [m/s^2].
         specific_force_bias: Constant, drawn once per axis [m/s^2].
         imu_delay: From the sample to its arrival [s].
-        tension: True to add tension sensors at the platform, in any suite.
-        tension_rate: Sampling rate of the tension sensors [Hz].
+        tension: True to add load cells at the platform to a suite without them.
+        tension_rate: Sampling rate of the load cells [Hz].
         tension_noise: Noise per sample [N].
         tension_bias: Constant, drawn once per cable [N].
         tension_delay: From the sample to its arrival [s].

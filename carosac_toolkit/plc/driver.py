@@ -74,7 +74,8 @@ class PlcDriver(
 
         Raises:
             CarosacError: The PLC does not answer, has other data blocks, or is of another robot.
-            InvalidField: No such link, or a suite with an IMU that the robot file does not have.
+            InvalidField: No such link, a suite with an IMU that the robot file does not have, or
+                with tensions that the PLC does not measure.
         """
         if self.exchange is not None:
             raise CarosacError(f"{self.name}: connected already; call close() first")
@@ -86,8 +87,11 @@ class PlcDriver(
         exchange = PlcExchange(
             link, machine_values(self._robot), period=settings.io_period, writing=settings.motion
         )
-        exchange.open()
+        reading = exchange.open()
         try:
+            if "tension" in settings.suite and not reading.values["has_tension"]:
+                allowed = "one without tension: the PLC has no load cells (has_tension is 0)"
+                raise InvalidField("suite", repr(settings.suite), allowed)
             if settings.motion and settings.start_position is not None and exchange.emulated:
                 self._set_down(exchange, settings.start_position)
             if "imu" in settings.suite and source is not None:

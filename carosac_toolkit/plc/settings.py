@@ -15,7 +15,7 @@ Point = tuple[float, float, float]
 SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
 EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
 COMMAND_PERIOD_MAX_S = 0.1  # of the PLC: commands that stop coming are followed on for 3 periods
-_SENSOR_SUITES = ("lengths", "lengths+imu")
+_SENSOR_SUITES = ("lengths", "lengths+imu", "lengths+tension", "lengths+imu+tension")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from baselines.kinematic_solver import KinematicSolver
-from baselines.kinematic_solver_controller import KinematicSolverController, UnreachableReference
+from baselines.kinematic_solver_controller import (
+    KinematicSolverController,
+    KinematicSolverControllerSettings,
+    UnreachableReference,
+)
 from baselines.lookahead import LookaheadSettings
 from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit import trajectories
@@ -18,6 +22,7 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from tests.robots import eight_cable_robot, simple_robot
 
 BOTH = [StraightLineController, KinematicSolverController]
@@ -168,3 +173,31 @@ def test_they_are_installed_under_their_names(plugin):
 def test_settings_that_make_no_sense_are_refused(name, value):
     with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: {name} >"):
         LookaheadSettings(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["minimum", "p_norm", "centre"])
+def test_kinematic_solver_sends_the_lengths_of_its_choice_of_tensions(name):
+    robot = load_robot("cogiro")
+    settings = KinematicSolverControllerSettings(distribution=name, delay=0.0)
+    controller = KinematicSolverController.build(robot, settings)
+    where = robot.home_position[None]
+    belief = Belief(time=np.zeros(1), position=where, rotation=robot.home_rotation[None])
+    reference = Reference(
+        time=np.zeros((1, 1)), position=where[:, None], velocity=np.zeros((1, 1, 3)),
+        acceleration=np.zeros((1, 1, 3)),
+    )  # fmt: skip
+    controller.reset(belief)
+    sent = controller.command(belief, reference).unstrained_length
+    chosen = statics.inverse_kinematics(robot, where, distribution=name)
+    assert np.array_equal(sent, chosen.unstrained_length)
+    assert np.abs(sent - statics.inverse_kinematics(robot, where).unstrained_length).max() > 1e-5
+
+
+def test_controllers_refuse_a_choice_that_their_robot_does_not_have():
+    hall = load_robot("carosac")
+    with pytest.raises(InvalidField, match=r"distribution: got 'centre'.*of 4 cables"):
+        KinematicSolverController.build(
+            hall, KinematicSolverControllerSettings(distribution="centre")
+        )
+    with pytest.raises(InvalidField, match=r"distribution: got 'least'"):
+        KinematicSolverControllerSettings(distribution="least")

@@ -95,6 +95,13 @@ def test_poses_and_inertial_samples_are_withheld_unless_the_suite_has_them(recor
             assert (m.pose is not None) == pose.valid[0]
 
 
+def test_a_suite_with_tensions_needs_them_in_the_recording(recording):
+    entries = every_sample(connected(recording, suite="lengths+tension"))
+    assert any(measurement.tension is not None for measurement, _, _ in entries)
+    with pytest.raises(InvalidField, match="one without tension: the recording has none"):
+        connected(replace(recording, tension=None), suite="lengths+tension")
+
+
 def test_by_default_poses_are_withheld(recording):
     entries = [measurement for measurement, _, _ in every_sample(connected(recording))]
     assert not any(m.pose is not None for m in entries)

@@ -43,7 +43,7 @@ def test_a_suite_has_its_sensors_and_no_others():
         result = measured(suite, PERFECT_SENSORS, count=2)[-1]
         assert (result.imu is not None) == ("imu" in suite)
         assert (result.pose is not None) == ("pose" in suite)
-        assert result.tension is None
+        assert (result.tension is not None) == ("tension" in suite)
         assert measured(suite, NOISY, count=2)[-1].tension is not None
 
 
@@ -123,6 +123,17 @@ def test_inertial_noise_and_bias_have_their_standard_deviations():
         assert abs(mean.mean()) < 5.0 * bias / np.sqrt(mean.size)
 
 
+@pytest.mark.parametrize("suite", ["lengths+tension", "lengths+imu+tension"])
+def test_load_cells_of_a_suite_are_those_of_the_setting(suite):
+    """The suite and the setting name the same sensor with the same random stream."""
+    named = measured(suite, SensorSettings(), count=5)
+    added = measured(suite.removesuffix("+tension"), NOISY, count=5)
+    for one, other in zip(named, added, strict=True):
+        assert np.array_equal(one.tension.value, other.tension.value)
+        assert np.array_equal(one.unstrained_length, other.unstrained_length)
+        assert (one.imu is None) == (other.imu is None)
+
+
 def test_tensions_have_noise_bias_rate_and_delay():
     plant = TurningPlant(size=200)
     exact = replace(PERFECT_SENSORS, tension=True, tension_rate=50.0, tension_delay=0.03)
@@ -177,7 +188,7 @@ def test_robots_of_a_batch_have_errors_of_their_own():
 
 
 def test_a_plant_without_inertia_has_no_imu():
-    refusal = r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
+    refusal = r"suite: got .*'lengths\+tension'\]: this plant has no inertia"
     with pytest.raises(InvalidField, match=refusal):
         SensorSuite("lengths+imu", PERFECT_SENSORS, QuasiStaticPlant(TurningPlant().robot), 0)
     with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):

@@ -282,6 +282,16 @@ def test_a_suite_needs_its_sensors(plc):
         PlcDriver(blind, PlcDriverSettings(suite="lengths+imu")).connect()
 
 
+def test_a_suite_with_tensions_needs_load_cells():
+    with plc_process("--no-load-cells") as bare:
+        with pytest.raises(InvalidField, match=r"suite: got 'lengths\+tension'.*no load cells"):
+            PlcDriver(bare.robot, PlcDriverSettings(suite="lengths+tension")).connect()
+        driver = PlcDriver(bare.robot, PlcDriverSettings())
+        driver.connect()
+        assert driver.measure().tension is None
+        driver.close()
+
+
 def test_a_plc_that_stands_still_is_seen_and_comes_back(plc, driver):
     plc.signal(signal.SIGSTOP)
     try:

@@ -1,4 +1,4 @@
-"""Inverse kinematics with the rotation held: bounded least squares of the tensions.
+"""Inverse kinematics with the rotation held: a choice of tensions within their limits.
 
 Each cable's tension at the platform is an unknown; its length and direction follow from it (sag,
 pulley and run included). The cables are linearised anew until the tensions stay.
@@ -15,7 +15,7 @@ from carosac_toolkit.physics.cable.tension_kernels import (
     pull,
 )
 from carosac_toolkit.physics.device_kernels import Cable, StaticBody, anchor_of
-from carosac_toolkit.physics.rest.bounded_kernels import bounded_tensions
+from carosac_toolkit.physics.rest.distribution_kernels import Cost, distributed_tensions, set_cost
 from carosac_toolkit.physics.rest.forward_kernels import PoseLoad, load_cables
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
@@ -100,9 +100,23 @@ def first_tensions(cables: wp.array2d(dtype=Cable), row: int, b: int, p: wp.vec3
         poses.unstrained_length[b, i] = g.unstrained_length
 
 
+@wp.func
+def cost_of(choice: int, poses: Poses) -> Cost:
+    """Return a cost of the tensions in the buffers of the poses."""
+    cost = Cost()
+    cost.choice = choice
+    cost.reference = poses.reference
+    cost.scale = poses.scale
+    cost.middle = poses.middle
+    cost.softness = poses.softness
+    cost.iterate = poses.iterate
+    return cost
+
+
 @wp.kernel
-def inverse_held(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticBody), poses: Poses):
-    """Solve bounded least squares, rotation held; linearise cables anew until nothing changes."""
+def inverse_held(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticBody), choice: int,
+                 poses: Poses):  # fmt: skip
+    """Choose tensions within limits, rotation held; linearise cables anew until nothing changes."""
     b = wp.tid()
     n = poses.tension.shape[1]
     row = wp.min(b, cables.shape[0] - 1)
@@ -111,9 +125,11 @@ def inverse_held(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     r = poses.rotation[b]
     set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses)
     for i in range(n):
-        poses.middle[b, i] = ZERO
+        poses.reference[b, i] = ZERO
         poses.tension[b, i] = body.weight
     first_tensions(cables, row, b, p, r, poses)
+    cost = cost_of(choice, poses)
+    set_cost(cost, poses.lower, poses.upper, b, body.weight)
     count = int(0)
     result = int(-1)
     refused = int(0)
@@ -124,8 +140,8 @@ def inverse_held(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
         norm = wp.length(target)
         for i in range(n):
             target = target + poses.tension[b, i] * poses.column[b, i]
-        feasible = bounded_tensions(
-            poses.column, poses.lower, poses.upper, poses.middle, b, target, poses.wanted
+        feasible = distributed_tensions(
+            poses.column, poses.lower, poses.upper, cost, b, target, poses.wanted
         )
         refused = wp.where(feasible == 1, 0, refused + 1)
         jump = wp.float64(0.0)

@@ -43,6 +43,10 @@ class Poses:
     lower: wp.array2d(dtype=wp.float64)  # limits of the tensions [N]
     upper: wp.array2d(dtype=wp.float64)
     middle: wp.array2d(dtype=wp.float64)  # tensions to stay close to [N]
+    softness: wp.array2d(dtype=wp.float64)  # scratch of the choice of tensions, as in `Cost`
+    reference: wp.array2d(dtype=wp.float64)
+    scale: wp.array2d(dtype=wp.float64)
+    iterate: wp.array2d(dtype=wp.float64)
     wanted: wp.array2d(dtype=wp.float64)  # tensions after a step [N], or unknowns (B, unknowns)
     column: wp.array2d(dtype=vec6d)  # d scaled wrench / d unknown, (B, unknowns)
     twist: wp.array2d(dtype=wp.vec3d)  # dual gradient of each cable

@@ -24,6 +24,11 @@ from carosac_toolkit.physics.device import Buffers, check_call, device_robot, ke
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import forward_kernels, inverse_free_kernels, inverse_kernels
 from carosac_toolkit.physics.rest.platform_kernels import Poses
+from carosac_toolkit.physics.rest.tension_problem import (
+    DISTRIBUTIONS,
+    DistributionName,
+    check_distribution,
+)
 from carosac_toolkit.robot.robot import Robot
 
 EQUILIBRIUM_RESIDUAL_PER_WEIGHT = 1e-9  # of the weight: a larger wrench left over is no equilibrium
@@ -124,13 +129,15 @@ def inverse_kinematics(
     rotation: ArrayLike | None = None,
     *,
     guess: Equilibrium | Pose | None = None,
+    distribution: DistributionName = "least_squares",
     device: str = "cpu",
 ) -> Equilibrium:
     """Solve for cable lengths and tensions that hold the platform origin at rest.
 
-    With n >= 6 cables the rotation is held and the tensions are the least squared ones within
-    ``[tension_min, tension_max]``. With n < 6 the rotation is free: among the statically stable
-    equilibria near the guess, the one with the least squared tensions within the limits.
+    With n >= 6 cables the rotation is held and the tensions are chosen within ``[tension_min,
+    tension_max]``; with n > 6 there is a choice, by `distribution`. With n < 6 the rotation is
+    free: among the statically stable equilibria near the guess, the one with the least squared
+    tensions within the limits.
 
     Args:
         robot: Robot description, n cables; a `Fleet` has a robot for each row.
@@ -138,6 +145,8 @@ def inverse_kinematics(
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
             must be None.
         guess: Start of the search for a free rotation; unused with n >= 6.
+        distribution: Which tensions, see `tension_distribution`; with n < 6 there is no choice,
+            and only the default is allowed.
         device: Warp device.
 
     Returns:
@@ -145,9 +154,11 @@ def inverse_kinematics(
         `status` says so; nothing is clipped.
 
     Raises:
-        InvalidField: A wrong shape, numbers that are not finite, or a rotation for n < 6.
+        InvalidField: A wrong shape, numbers that are not finite, or a rotation or another
+            distribution for n < 6.
     """
     check_call(robot, device)
+    check_distribution(distribution, robot.n)
     where = batch("position", position, (3,))
     size = len(where)
     _check_rows(robot, "position", size)
@@ -163,20 +174,20 @@ def inverse_kinematics(
     with buffers.lock:
         buffers.put("position", where)
         buffers.put("rotation", guess.rotation if free and guess is not None else held)
-        _launch_inverse(robot, buffers, size, free, device)
+        _launch_inverse(robot, buffers, size, free, DISTRIBUTIONS.index(distribution), device)
         return _equilibrium(robot, buffers)
 
 
 def _launch_inverse(
-    robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, device: str
+    robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, choice: int, device: str
 ) -> None:
     """Solve, then judge the answer by its lengths alone."""
-    inputs = (*device_robot(robot, device), Poses)
+    robots = device_robot(robot, device)
     if free:
-        buffers.launch("free", inverse_free_kernels.inverse_free, size, *inputs)
+        buffers.launch("free", inverse_free_kernels.inverse_free, size, *robots, Poses)
     else:
-        buffers.launch("held", inverse_kernels.inverse_held, size, *inputs)
-    buffers.launch("evaluate", inverse_kernels.evaluate, size, *inputs)
+        buffers.launch(f"held{choice}", inverse_kernels.inverse_held, size, *robots, choice, Poses)
+    buffers.launch("evaluate", inverse_kernels.evaluate, size, *robots, Poses)
 
 
 def cable_shape(
@@ -269,6 +280,8 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
         "q": (per_cable, wp.vec3d), "inverse": (per_cable, wp.mat33d),
         "wanted": (per_cable, wp.float64), "lower": (per_cable, wp.float64),
         "upper": (per_cable, wp.float64), "middle": (per_cable, wp.float64),
+        "softness": (per_cable, wp.float64), "reference": (per_cable, wp.float64),
+        "scale": (per_cable, wp.float64), "iterate": (per_cable, wp.float64),
         "column": (per_cable, vec6d), "twist": (per_cable, wp.vec3d), "bound": (per_cable, int),
     }  # fmt: skip
 

@@ -57,7 +57,7 @@ def solve(
     tension_min: ArrayLike,
     tension_max: ArrayLike,
     *,
-    arm: float = 1.0,
+    arm: float | None = None,
     device: str = "cpu",
 ) -> TensionMargin:
     """Solve for the largest margins of tensions to their limits, B problems at once.
@@ -67,7 +67,8 @@ def solve(
         wrench: External wrench w at the platform origin, in W [N, N m], shape (B, 6).
         tension_min: Lower limits [N], a number, shape (n,) or (B, n).
         tension_max: Upper limits [N], likewise.
-        arm: Lever arm that makes moments comparable with forces [m].
+        arm: Lever arm that makes moments comparable with forces [m]; None: the largest of a
+            cable at that pose.
         device: Warp device.
 
     Returns:

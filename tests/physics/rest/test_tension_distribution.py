@@ -77,7 +77,7 @@ def test_no_load_and_a_mean_reference_give_the_mean():
 def test_single_robot_agrees_with_the_batch():
     matrix, wrench = problems(40, 4, 20.0)
     together = tension_distribution.solve(matrix, wrench, LOWER, UPPER, reference=200.0)
-    solver = tension_distribution.SingleRobot(8, LOWER, UPPER)
+    solver = tension_distribution.TensionDistributor(8, LOWER, UPPER)
     agreed = 0
     for k in range(40):
         alone = solver.solve(matrix[k : k + 1], wrench[k : k + 1], reference=200.0)
@@ -101,4 +101,4 @@ def test_bad_arguments_are_named():
     with pytest.raises(InvalidField, match=r"arm: got 0.0 m; allowed: arm > 0"):
         tension_distribution.solve(matrix, wrench, LOWER, UPPER, arm=0.0)
     with pytest.raises(InvalidField, match=r"got several problems; allowed: a batch of one"):
-        tension_distribution.SingleRobot(8, LOWER, UPPER).solve(matrix, wrench)
+        tension_distribution.TensionDistributor(8, LOWER, UPPER).solve(matrix, wrench)
