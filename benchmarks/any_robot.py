@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from carosac_toolkit.studies.compare.feasibility import slowest_stop
-from carosac_toolkit.studies.run.divergence import divergence
 
 from benchmarks.drawn_robots import drawn_robot
 from benchmarks.results import table, write_section
@@ -34,6 +32,8 @@ from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies.compare.feasibility import slowest_stop
+from carosac_toolkit.studies.run.divergence import divergence
 from carosac_toolkit.studies.run.run_case import Truth
 from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.workspace.grid import box_grid

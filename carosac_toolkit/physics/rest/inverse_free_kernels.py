@@ -372,8 +372,12 @@ def balance_forces(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Stat
         s = straight_to(cables[row, i], p + r * cables[row, i].anchor_point)
         poses.column[b, i] = vec6d(s.unit[0], s.unit[1], s.unit[2], ZERO, ZERO, ZERO)
         poses.middle[b, i] = ZERO
+        poses.softness[b, i] = ONE
     target = vec6d(ZERO, ZERO, body.weight, ZERO, ZERO, ZERO)
-    bounded_tensions(poses.column, poses.lower, poses.upper, poses.middle, b, target, poses.tension)
+    bounded_tensions(
+        poses.column, poses.lower, poses.upper, poses.middle, poses.softness, b, target,
+        poses.tension,
+    )  # fmt: skip
 
 
 @wp.func
