@@ -330,8 +330,9 @@ def release(
     """Release worlds with the acceleration that their forces give; steps of `h` follow.
 
     With that acceleration the first step needs no past, and is of second order like all others. It
-    is found by one Euler step of an `instant` [s], in which nothing moves. Impacts do not change the scheme: motions let go
-    side by side are compared, and two schemes differ by more than they do.
+    is found by one Euler step of an `instant` [s], in which nothing moves. Impacts do not change
+    the scheme: motions let go side by side are compared, and two schemes differ by more than they
+    do.
     """
     b = wp.tid()
     row = wp.min(b, plants.bodies.shape[0] - 1)
