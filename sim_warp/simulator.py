@@ -34,7 +34,7 @@ from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.physics.scales import Scales, number_for
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.perturbations import PlainCondition, draw_plant
 from carosac_toolkit.robot.robot import Robot
@@ -96,7 +96,8 @@ class Simulator:
             wind_force: Standard deviation of the force of the wind on the platform per horizontal
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.
-            cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
+            cable_drag: Air drag of the cables per mass [1/s], by default 0.5 1/s on ``carosac``;
+                ``straight`` ones have no mass.
             winch: Response of the drives to commands; None takes the defaults.
             iterations: Passes over the constraints in a time step, for ``xpbd``.
 
@@ -117,6 +118,7 @@ class Simulator:
             time_step = TIME_STEPS[cables].of(Scales(robots[0]).ratios)
         check_positive("time_step", time_step, "s")
         check_not_negative("cable_drag", cable_drag, "1/s")
+        drag = number_for(robots[0], cable_drag)
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
@@ -139,7 +141,7 @@ class Simulator:
         self._worlds = allocate_worlds(size, self.fleet.n, device, self.seeds.astype(np.int32))
         command = self._worlds.command  # on the CPU numpy writes to it directly, which is faster
         self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
-        self._dynamics = self._make_dynamics(float(cable_drag), iterations)
+        self._dynamics = self._make_dynamics(drag, iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self._go_home()
 

@@ -17,13 +17,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
-CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass [1/s]
+CABLE_DRAG_PER_S = Scaled(0.5, "1/s")  # default air drag of the cables per mass
 NodelessCables = Literal["catenary", "straight"]
 
 

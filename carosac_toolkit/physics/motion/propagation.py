@@ -22,6 +22,7 @@ from carosac_toolkit.physics.motion import dynamics_kernels
 from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
+from carosac_toolkit.physics.scales import number_for
 from carosac_toolkit.robot.robot import Robot
 
 PROPAGATION_STEP_S = 0.01  # [s]
@@ -96,7 +97,13 @@ class Propagation:
         self._bodies = np.repeat(rigid_body_record(robot)[None], size)
         self._worlds = allocate_worlds(size, robot.n, device, np.zeros(size, dtype=np.int32))
         self._dynamics = NodelessDynamics(
-            self._plants, self._worlds, size, robot.n, device, "catenary", cable_drag
+            self._plants,
+            self._worlds,
+            size,
+            robot.n,
+            device,
+            "catenary",
+            number_for(robot, cable_drag),
         )
         self._freed = _allocate(size, robot.n, device)
         self._buffers = Buffers(device, {})
