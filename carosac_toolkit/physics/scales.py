@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.scaled import Ratios, Scaled
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import cable_size
 
 # Of the robot `carosac`, on which defaults are stated (`carosac_toolkit.base.scaled.Scaled`).
 CAROSAC_CABLE_M = 9.141812876044355
@@ -35,9 +36,7 @@ class Scales:
     @cached_property
     def length(self) -> float:
         """Mean distance from exit to anchor points at home [m]: that of a cable."""
-        robot = self.robot
-        anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
-        return float(np.linalg.norm(robot.exit_points - anchors, axis=1).mean())
+        return cable_size(self.robot)
 
     @property
     def time(self) -> float:

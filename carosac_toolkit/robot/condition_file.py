@@ -102,8 +102,8 @@ def read_condition(text: str, path: str | Path) -> Condition:
         except InvalidField as error:
             faults.append((document.line((name,)), str(error)))
     if not faults and values.get("wind_time") == 0.0:
-        error = InvalidField("wind_time", "0.0 s", "wind_time > 0")
-        faults.append((document.line(("wind_time",)), str(error)))
+        fault = str(InvalidField("wind_time", "0.0 s", "wind_time > 0"))
+        faults.append((document.line(("wind_time",)), fault))
     if faults:
         raise InvalidFile(path, [f"line {line}: {fault}" for line, fault in sorted(faults)])
     return Condition(**values)
