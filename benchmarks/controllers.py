@@ -26,7 +26,8 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.run_case import Truth
@@ -125,7 +126,8 @@ def make(task: Task, robot: Robot, path: Trajectory, **options: Any) -> tuple[An
     given = None if task.policy is None else chosen.Settings(policy=task.policy)
     controller = chosen.build(robot, given)
     kind = plugins.load("drivers", "simulator")
-    force = find_condition("nominal-1").wind_force if task.wind and task.wrong is None else 0.0
+    windy = task.wind and task.wrong is None
+    force = find_condition("nominal-1").of(robot).wind_force if windy else 0.0
     start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
     settings = replace(
         kind.Settings(), suite=SUITE, period=controller.period, start_position=start,

@@ -20,7 +20,8 @@ from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement, State
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
@@ -135,7 +136,7 @@ def path_of(case: Case, robot: Robot) -> Trajectory:
 def record(case: Case) -> Heard:
     """Simulate a case, cables of particles."""
     robot, condition = robot_of(case.robot), find_condition(case.perturbation)
-    windy = find_condition("nominal-1")
+    windy = find_condition("nominal-1").of(robot)
     plant = draw_plant(robot, condition, np.random.default_rng(case.seed))
     path = path_of(case, robot)
     controller = KinematicSolverController.build(robot)

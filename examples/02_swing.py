@@ -2,7 +2,7 @@
 
 The winches of the bundled robot ``carosac`` follow the exact static lengths of a path of 1.5 m.
 The simulator adds what statics does not know: inertia, sway, cables that fall slack, winches that
-lag, plants drawn from the condition `nominal-1`, wind. A second, slower move shows the difference.
+lag, plants drawn from the condition `nominal-2`, wind. A second, slower move shows the difference.
 
 Writes 02_swing.png and prints how far the platforms still sway two seconds after the fast move.
 """
@@ -34,7 +34,7 @@ for label, (duration, color) in MOVES.items():
     share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # least jerk
     path = START + share[:, None] * (GOAL - START)
     length = ct.statics.inverse_kinematics(robot, path).unstrained_length  # (K, n)
-    robots = Simulator(robot, worlds=WORLDS, perturbation="nominal-1", seed=1)
+    robots = Simulator(robot, worlds=WORLDS, perturbation="nominal-2", seed=1)
     robots.reset(np.tile(START, (WORLDS, 1)))
     own = robots.state.numpy().unstrained_length - length[0]  # each hangs on its own lengths
     position, tension, shapes = [], [], []

@@ -1,6 +1,6 @@
 """Identify a swaying robot from half a minute of motion, and see what it was worth.
 
-A plant that differs from the bundled robot ``carosac`` by the condition `nominal-1` moves through
+A plant that differs from the bundled robot ``carosac`` by the condition `nominal-2` moves through
 drawn places, in wind, with noisy sensors. All that may be wrong about it is fitted on the first
 70 % of the run; the rest was not fitted.
 

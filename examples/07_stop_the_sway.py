@@ -1,6 +1,6 @@
 """A fast move, and the platform swings for seconds: who sees it, and who stops it.
 
-The simulated robot ``carosac`` is a plant drawn from the condition `nominal-1`, with wind, biased
+The simulated robot ``carosac`` is a plant drawn from the condition `nominal-2`, with wind, biased
 encoders and an IMU. Three controllers send it 1.2 m to the side: exact statics, input shaping, and
 model predictive control on the belief of the dynamic estimator.
 
@@ -31,7 +31,7 @@ SEED = 3
 LATE = 2.0  # [s] after the move
 
 robot = ct.load_robot("carosac")
-condition = CONDITIONS_BY_NAME["nominal-1"]
+condition = CONDITIONS_BY_NAME["nominal-2"].of(robot)
 plant = draw_plant(robot, condition, np.random.default_rng(SEED))
 start, goal = (0.9, -1.8, 2.6), (-0.3, -1.8, 2.6)  # [m]
 path = trajectories.line(start, goal, speed_max=1.5, acceleration_max=2.0)

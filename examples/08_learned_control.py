@@ -29,7 +29,7 @@ LATE = 2.0  # [s] after the move
 COLORS = ("tab:red", "tab:orange", "tab:blue")
 
 robot = ct.load_robot("carosac")
-condition = CONDITIONS_BY_NAME["nominal-1"]
+condition = CONDITIONS_BY_NAME["nominal-1"].of(robot)
 plant = draw_plant(robot, condition, np.random.default_rng(SEED))
 start, goal = (0.9, -1.8, 2.6), (-0.3, -1.8, 3.0)  # [m]
 path = trajectories.line(start, goal, speed_max=1.5, acceleration_max=2.0)

@@ -14,7 +14,7 @@ from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.drivers.sensors import check_suite
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.robot.perturbations import find_condition
+from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.robot import Robot
 from learned.sensing import Sensing
 from learned.worlds import WorldStates

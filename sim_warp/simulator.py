@@ -35,7 +35,8 @@ from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds,
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
-from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import PlainCondition, draw_plant
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import (
     as_robots,
@@ -126,7 +127,7 @@ class Simulator:
         self.device = device
         self.seeds = as_seeds(seed, size)
         self._size = size
-        condition = find_condition(perturbation)
+        condition = find_condition(perturbation).of(robots[0])
         force = condition.wind_force if wind_force is None else wind_force
         gust = condition.wind_time if wind_time is None else wind_time
         check_positive("wind_time", gust, "s")
@@ -399,7 +400,7 @@ class Simulator:
         return rest
 
 
-def _draw(robots: list[Robot], condition: Condition, seeds: NDArray[np.int64]) -> list[Robot]:
+def _draw(robots: list[Robot], condition: PlainCondition, seeds: NDArray[np.int64]) -> list[Robot]:
     """Draw the plant of each world."""
     each = robots * len(seeds) if len(robots) == 1 else robots
     draws = [np.random.default_rng([int(seed), 1]) for seed in seeds]

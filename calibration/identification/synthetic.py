@@ -13,7 +13,8 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION, draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.draws import draw_points
 from carosac_toolkit.trajectories.moves import waypoints
@@ -37,7 +38,7 @@ class RunSettings:
         rate: Of lengths and poses [Hz].
     """
 
-    condition: str = "nominal-1"
+    condition: str = DEFAULT_CONDITION
     moves: int = 14
     rate: float = 100.0
 
@@ -67,7 +68,7 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
     """
     chosen = settings or RunSettings()
     rng = np.random.default_rng([seed, 5])
-    condition = find_condition(chosen.condition)
+    condition = find_condition(chosen.condition).of(robot)
     plant = draw_plant(robot, condition, rng)
     start, command = _commands(robot, chosen, rng)
     options = SimDriverSettings(

@@ -72,6 +72,14 @@ class Scaled(float):
     __truediv__ = __rtruediv__ = __pow__ = __rpow__ = __neg__ = __mod__ = _refused
 
 
+class Capped(Scaled):
+    """A default that shrinks with a robot and never grows: a speed near people, for instance."""
+
+    def of(self, ratios: Ratios) -> float:
+        """Return the number for a robot, at most that on ``carosac``."""
+        return min(float(self), super().of(ratios))
+
+
 def exponents(unit: str) -> tuple[float, float, float]:
     """Return the exponents of kg, m and s of a unit such as ``N m``, ``1/m^2`` or ``m/sqrt(s)``.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.cli.common import CommonOptions, OutputFolder
+from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION
 from carosac_toolkit.studies.compare.study import DEFAULT_TRAJECTORIES
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S
 from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER
@@ -38,10 +39,12 @@ class Options(CommonOptions):
         DEFAULT_TRAJECTORIES
     )
     """Trajectories of the catalogue."""
-    perturbations: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--perturbation"])] = (
-        "nominal-1",
-    )
-    """Conditions that plants are drawn from: how far they differ from the nominal robot."""
+    perturbations: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
+    ] = (DEFAULT_CONDITION,)
+    """Conditions that plants are drawn from: how far they differ from the nominal robot. A name
+    (nominal-2, nominal-1, none) or a YAML file such as my-hall.yaml."""
     seeds: int | None = None
     """Number of draws of plant, path and noise, with seeds counted up from --seed; by default
     10."""

@@ -31,8 +31,9 @@ from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.emulator import Emulator
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.plc.identity import declaration, hash_text, machine_values
+from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.robot import Robot
 
 WIRING_FAULTS = ("wrong_sign", "reversed_drive")
@@ -99,7 +100,7 @@ def run(options: Options) -> CommandResult:
         values = machine_values(nominal)
         return CommandResult(values | {"hash": hash_text(values["hash"]),
                                        "name": list(nominal.cable_names)})  # fmt: skip
-    condition = find_condition(options.condition)
+    condition = find_condition(options.condition).of(nominal)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
     settings = EmulatorSettings(
         wrong_sign=_cables(options.fault, "wrong_sign", nominal),

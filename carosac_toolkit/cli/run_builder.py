@@ -91,7 +91,6 @@ def make_guard(
         "speed_max": WINCH_RATE_RATIO * options.speed,
         "tension_shift_max": TENSION_SHIFT_MAX if slow else None,
         "first_shift_max": TENSION_SHIFT_MAX,
-        "first_speed": WINCH_RATE_RATIO * TENSION_CHECK_SPEED_MAX,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)

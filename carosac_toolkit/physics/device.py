@@ -18,7 +18,9 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device_kernels import Cable, StaticBody
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import cable_size
 
+LEVER_MIN = 5e-3  # of the length of a cable: the least lever arm that is calculated with
 BUFFER_SETS_MAX = 12  # sets of buffers remembered per robot
 KEPT_BATCH_MAX = 4096  # larger batches allocate anew: their solve takes far longer
 
@@ -48,7 +50,7 @@ def body_record(robot: Robot) -> NDArray[Any]:
 def lever(robot: Robot) -> float:
     """Return the typical lever arm that makes moments comparable with forces [m]."""
     arms = np.vstack([robot.anchor_points, robot.center_of_mass[None]])
-    return float(max(np.sqrt((arms**2).sum(axis=1).max()), 1e-2))
+    return float(max(np.sqrt((arms**2).sum(axis=1).max()), LEVER_MIN * cable_size(robot)))
 
 
 def upload_robots(robots: Sequence[Robot], device: str) -> tuple[wp.array, wp.array]:

@@ -13,8 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.base.scaled import Ratios
+from carosac_toolkit.base.scaled import Ratios, Scaled
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import cable_size
 
 # Of the robot `carosac`, on which defaults are stated (`carosac_toolkit.base.scaled.Scaled`).
 CAROSAC_CABLE_M = 9.141812876044355
@@ -36,9 +37,7 @@ class Scales:
     @cached_property
     def length(self) -> float:
         """Mean distance from exit to anchor points at home [m]: that of a cable."""
-        robot = self.robot
-        anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
-        return float(np.linalg.norm(robot.exit_points - anchors, axis=1).mean())
+        return cable_size(self.robot)
 
     @property
     def time(self) -> float:
@@ -84,3 +83,8 @@ class Scales:
         """
         robot = self.robot
         return float((robot.acceleration_max / np.maximum(0.5 * robot.winch_lag, period)).min())
+
+
+def number_for(robot: Robot, value: float) -> float:
+    """Return a number as it is, and a `Scaled` default for a robot."""
+    return value.of(Scales(robot).ratios) if isinstance(value, Scaled) else float(value)

@@ -1,17 +1,18 @@
 """Conditions: random differences of the plant from the nominal robot.
 
 A condition is drawn once per seed. Controllers and estimators keep the nominal robot; only the
-driver gets the plant.
+driver gets the plant. ``nominal-2`` is stated in parts of the robot, and equal to ``nominal-1`` on
+``carosac``. Conditions of one's own are files (`carosac_toolkit.robot.condition_file`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import CAROSAC_SIZES, Part
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +20,7 @@ class Condition:
     """One standard deviation of everything that is drawn.
 
     Shares are logarithmic: a factor is exp(share * z) with z standard normal, so it stays positive.
+    Distances, force and time may be parts of the robot (`Part`); `of` turns them into numbers.
 
     Attributes:
         mass: Share.
@@ -35,16 +37,44 @@ class Condition:
     """
 
     mass: float = 0.0
-    center_of_mass: float = 0.0
+    center_of_mass: float | Part = 0.0
     inertia: float = 0.0
     axial_stiffness: float = 0.0
     linear_density: float = 0.0
-    exit_points: float = 0.0
-    anchor_points: float = 0.0
+    exit_points: float | Part = 0.0
+    anchor_points: float | Part = 0.0
     winch_lag: float = 0.0
     drag: float = 0.0
-    wind_force: float = 0.0
-    wind_time: float = 2.0
+    wind_force: float | Part = 0.0
+    wind_time: float | Part = 2.0
+
+    def of(self, robot: Robot) -> PlainCondition:
+        """Return the condition in metres, newtons and seconds for a robot."""
+        return PlainCondition(
+            **{item.name: part_of(robot, getattr(self, item.name)) for item in fields(self)}
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainCondition:
+    """A condition for one robot; attributes as those of `Condition`, all of them numbers."""
+
+    mass: float
+    center_of_mass: float
+    inertia: float
+    axial_stiffness: float
+    linear_density: float
+    exit_points: float
+    anchor_points: float
+    winch_lag: float
+    drag: float
+    wind_force: float
+    wind_time: float
+
+
+def part_of(robot: Robot, value: float | Part) -> float:
+    """Return a number as it is, and a part of a robot in its SI unit."""
+    return value.of(robot) if isinstance(value, Part) else value
 
 
 CONDITIONS_BY_NAME = {
@@ -61,21 +91,27 @@ CONDITIONS_BY_NAME = {
         drag=float(np.log(1.5)),
         wind_force=1.0,
     ),
+    "nominal-2": Condition(
+        mass=0.03,
+        center_of_mass=Part(0.01, "platform", at=CAROSAC_SIZES["platform"]),  # 3.4 %
+        inertia=0.10,
+        axial_stiffness=0.20,
+        linear_density=0.02,
+        exit_points=Part(5e-3, "frame", at=CAROSAC_SIZES["frame"]),  # 0.07 %
+        anchor_points=Part(1e-3, "platform", at=CAROSAC_SIZES["platform"]),  # 0.34 %
+        winch_lag=0.20,
+        drag=float(np.log(1.5)),
+        wind_force=Part(1.0, "weight", at=CAROSAC_SIZES["weight"]),  # 0.43 %
+        wind_time=Part(2.0, "time", at=CAROSAC_SIZES["time"]),  # 2.1 times
+    ),
 }
+DEFAULT_CONDITION = "nominal-2"
+SEEDED_AS = {"nominal-2": "nominal-1"}  # whose seeds a condition draws from
 
 
-def find_condition(name: str) -> Condition:
-    """Return a condition by its name.
-
-    Raises:
-        InvalidField: There is none of that name.
-    """
-    if name not in CONDITIONS_BY_NAME:
-        raise InvalidField("perturbation", repr(name), f"one of {sorted(CONDITIONS_BY_NAME)}")
-    return CONDITIONS_BY_NAME[name]
-
-
-def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> Robot:
+def draw_plant(
+    robot: Robot, condition: Condition | PlainCondition, rng: np.random.Generator
+) -> Robot:
     """Draw a robot that differs from the nominal one by a condition.
 
     The order of the draws is fixed, so that one seed is one plant whatever else is compared.
@@ -89,6 +125,8 @@ def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> 
         The plant; its name is changed if anything was drawn.
     """
     n = robot.n
+    if isinstance(condition, Condition):
+        condition = condition.of(robot)
 
     def factor(share: float) -> float:
         return float(np.exp(share * rng.standard_normal()))

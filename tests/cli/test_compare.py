@@ -246,7 +246,7 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--suites", "lenghts"], "suite: got 'lenghts'"),
         (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
-        (["--perturbations", "nominal-2"], "did you mean 'nominal-1'"),
+        (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
         (["--robot", "carosak"], "did you mean 'carosac'"),
         (["--robots", "missing.yaml"], "missing.yaml: no such file"),
         (["--driver", "quasistatic"], "did you mean 'quasi_static'"),

@@ -8,7 +8,8 @@ import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from learned.policy_controller import PolicyController
 
 

@@ -9,7 +9,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
 KINDS = pytest.mark.parametrize(

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.perturbations import (
-    CONDITIONS_BY_NAME,
-    Condition,
-    draw_plant,
-    find_condition,
-)
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME, Condition, draw_plant
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.similar import UNITS_BY_FIELD, similar_robot, similarity
 from tests.robots import simple_robot
 
 DRAWS = 4000
@@ -119,6 +117,32 @@ def test_one_seed_is_one_plant():
 
 
 def test_an_unknown_condition_lists_those_there_are():
-    message = r"perturbation: got 'nominal'; allowed: one of \['nominal-1', 'none'\]"
+    message = r"perturbation: got 'nominal'; allowed: one of \['nominal-1', 'nominal-2', 'none'\]"
     with pytest.raises(InvalidField, match=message):
         find_condition("nominal")
+
+
+def test_nominal_2_is_nominal_1_on_carosac_bit_by_bit():
+    robot = load_robot("carosac")
+    one, two = (CONDITIONS_BY_NAME[name].of(robot) for name in ("nominal-1", "nominal-2"))
+    assert one == two
+    plants = [draw_plant(robot, c, np.random.default_rng(4)) for c in (one, two)]
+    for name in NAMES:
+        assert np.array_equal(getattr(plants[0], name), getattr(plants[1], name)), name
+
+
+@pytest.mark.parametrize("name", ["carosac", "scampi", "cogiro"])
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_plant_of_a_scaled_robot_is_the_scaled_plant(name, factor):
+    robot, condition = load_robot(name), CONDITIONS_BY_NAME["nominal-2"]
+    plant = draw_plant(robot, condition, np.random.default_rng(6))
+    expected = similar_robot(plant, factor)
+    scaled = draw_plant(similar_robot(robot, factor), condition, np.random.default_rng(6))
+    for field in UNITS_BY_FIELD:
+        value, wanted = getattr(scaled, field), getattr(expected, field)
+        if wanted is not None:
+            assert value == pytest.approx(wanted, rel=1e-12, abs=1e-15), field
+    at_one, ratios = condition.of(robot), similarity(factor)
+    wind = condition.of(similar_robot(robot, factor))
+    assert wind.wind_force == pytest.approx(at_one.wind_force * ratios.of_unit("N"))
+    assert wind.wind_time == pytest.approx(at_one.wind_time * ratios.time)

@@ -44,7 +44,6 @@ class DynamicBody:
     size: wp.float64  # typical cable length [m]
 
 
-GUSTS_PER_TIME = wp.constant(wp.float64(200.0))  # draws of the wind in its correlation time
 FAST_MOTION_SHARE = wp.constant(
     wp.float64(0.7)
 )  # share of very fast motions that is left after a step
@@ -274,6 +273,7 @@ class Wind:
 
     deviation: wp.float64  # standard deviation per axis [N]
     time: wp.float64  # correlation time [s]
+    interval: wp.float64  # between two draws [s]
 
 
 @wp.struct
@@ -301,15 +301,14 @@ def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
     """Return the wind at a later time [s]; its own grid of draws is independent of the steps."""
     out = gusts
     if wind.deviation > ZERO:
-        interval = wind.time / GUSTS_PER_TIME
         if out.count == 0:
             out.after = draw_gust(wind, out.after, ZERO, seed, 0)  # of the stationary distribution
             out.count = 1
-        keep = wp.exp(-interval / wind.time)
-        while time > wp.float64(out.count - 1) * interval:
+        keep = wp.exp(-wind.interval / wind.time)
+        while time > wp.float64(out.count - 1) * wind.interval:
             out.before = out.after
             out.after = draw_gust(wind, out.before, keep, seed, out.count)
             out.count += 1
-        share = time / interval - wp.float64(out.count - 2)
+        share = time / wind.interval - wp.float64(out.count - 2)
         out.force = out.before + share * (out.after - out.before)
     return out

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import body_record, cable_records
 from carosac_toolkit.physics.device_kernels import Cable
@@ -16,8 +17,10 @@ from carosac_toolkit.physics.motion import world_kernels
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, Gusts, Wind
 from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
+GUST_INTERVAL = Scaled(0.01, "s")  # between two draws of the wind
 # What a world needs to go on, and what people read of it.
 STATE_FIELDS = (
     "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "rough",
@@ -37,6 +40,12 @@ def rigid_body_record(robot: Robot) -> NDArray[Any]:
     return record
 
 
+def gust_interval(robot: Robot) -> float:
+    """Return the time between two draws of the wind [s]: the same for plants drawn at random."""
+    ratios = Scales(robot).ratios
+    return GUST_INTERVAL.of(ratios._replace(time=float(f"{ratios.time:.3g}")))
+
+
 def upload_plants(
     fleet: Fleet, device: str, winch: WinchSettings, wind_force: float, wind_time: float
 ) -> Any:
@@ -52,6 +61,7 @@ def upload_plants(
     robots = fleet.robots
     winds = np.zeros(len(robots), dtype=Wind.numpy_dtype())
     winds["deviation"], winds["time"] = wind_force, wind_time
+    winds["interval"] = [gust_interval(robot) for robot in robots]
     out = world_kernels.Plants()
     for name, kind, records in (
         ("cables", Cable, np.stack([cable_records(robot) for robot in robots])),

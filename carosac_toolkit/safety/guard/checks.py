@@ -9,20 +9,22 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.motion.braking import WinchMotion
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.homing import DEGREES_OF_FREEDOM
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 STALE_TIME_S = 0.08  # eight periods of 10 ms
 SAMPLE_AGE_S = 0.05  # allowed for in `GuardSettings.step`, beside the lag of the winches
 LINK_MARGIN_PERIODS = 3.0  # cycles are counted, and those of a start come early
-LAG_SPREAD_S = 0.03  # lags differ by this much, besides the age of a sample
-TENSION_MEAN_TIME_S = 0.5  # the platform tilts to and fro at some Hz
+LAG_SPREAD = 0.6  # share of the longest lag by which lags differ, besides the age of a sample
+TENSION_MEAN_TIME = Scaled(0.5, "s")  # the platform tilts to and fro at some Hz
 FAULT_DURATION_S = 0.03  # three periods of 10 ms: one wrong sample stops nobody
 
 
@@ -59,6 +61,8 @@ class Checks:
         self.robot = robot
         self._settings = settings
         self._step = settings.step(robot)
+        self._lag_spread = LAG_SPREAD * float(robot.winch_lag.max())
+        self._tension_mean_time = TENSION_MEAN_TIME.of(Scales(robot).ratios)
         self._speed_max = settings.slowed(robot).speed_max
         self.first_way = False
         self.restart(link_patience=0.0)
@@ -223,7 +227,7 @@ class Checks:
 
     def _late(self, measurement: Measurement) -> Array:
         """Return motion that differing lags and the age of a sample explain [m], shape (n,)."""
-        return np.asarray((LAG_SPREAD_S + self._age(measurement)) * np.abs(self._speed))
+        return np.asarray((self._lag_spread + self._age(measurement)) * np.abs(self._speed))
 
     def _age(self, measurement: Measurement | None) -> float:
         """Return the age of a sample [s], as far as it may go unnoticed."""
@@ -286,7 +290,7 @@ class Checks:
             limit = settings.first_shift_max
         if limit is None or measured is None or self.tension is None:
             return None
-        span = max(1, round(TENSION_MEAN_TIME_S / settings.period))
+        span = max(1, round(self._tension_mean_time / settings.period))
         self._shares = [*self._shares[1 - span :], measured.value[0] / self.tension]
         mean = np.mean(self._shares, axis=0)
         if self._expected is None or self._usual is None:

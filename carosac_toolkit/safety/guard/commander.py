@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.motion.braking import WinchMotion
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.safety.guard.monitor import Monitor
 from carosac_toolkit.safety.limiter import Limiter
 from carosac_toolkit.safety.stop import CoordinatedStop
 
-ACCELERATION_MEAN_TIME_S = 0.1  # time constant of the mean that a stop goes on with
+ACCELERATION_MEAN_TIME = Scaled(0.1, "s")  # time constant of the mean that a stop goes on with
 
 
 class Commander:
@@ -28,7 +30,8 @@ class Commander:
         robot, settings = monitor.robot, monitor.settings
         slowed = settings.slowed(robot)
         self._limiter = Limiter(slowed, settings.limits, period=settings.period)
-        self._share = min(1.0, settings.period / ACCELERATION_MEAN_TIME_S)
+        mean_time = ACCELERATION_MEAN_TIME.of(Scales(robot).ratios)
+        self._share = min(1.0, settings.period / mean_time)
         self._monitor = monitor
         self._bend = np.zeros(robot.n)
         self._stop: CoordinatedStop | None = None

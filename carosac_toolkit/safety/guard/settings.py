@@ -11,11 +11,12 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
+from carosac_toolkit.base.scaled import Capped, Scaled
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.home_check import SenseErrors
 from carosac_toolkit.safety.limiter import LimitSettings
 
-WINCH_DELAY_S = 0.1  # 50 ms of the winches, network, sampling, and a period
+DELAY_S = 0.05  # of network, sampling, and a period, beside the lag of the winches
 UNITS_OF_FIELDS = {
     "m": (
         "first_max", "range_margin", "jump_max", "following_max", "direction_max", "closure_max",
@@ -33,6 +34,9 @@ SCENE_SETTINGS = ("set_down", "wind_force", "wind_time")  # of a study's case, f
 @dataclass(frozen=True, kw_only=True)
 class GuardSettings:
     """Settings of `carosac_toolkit.safety.guard.guard.GuardedDriver`.
+
+    Distances, speeds and times that are `Scaled` are those of the robot ``carosac``; the guard
+    takes them by the size of its robot. Numbers that are given stay.
 
     Attributes:
         driver: Name of the driver behind the guard, or ``module:Class``.
@@ -61,7 +65,7 @@ class GuardSettings:
         first_max: Largest distance of the first command from where the winches stand [m].
         step_max: Largest distance of any command from where the winches stand [m]; a command
             farther away is a fault of the controller, a nearer one is approached within the limits.
-            None: `first_max` and what winches at their largest rate lag behind in 0.1 s.
+            None: `first_max` and what winches at their largest rate wind in their lag and 50 ms.
         speed_max: Largest rate asked of a winch [m/s], such as for a slow first run, beside that of
             the robot file; None: that of the robot file alone.
         range_margin: Distance of a command outside the winches' range that the limits hold back;
@@ -69,15 +73,19 @@ class GuardSettings:
         jump_max: Largest change of a length between two samples, beyond what the winch can turn
             meanwhile or was asked for; where a fault holds the winches they may not turn [m].
         following_max: Largest distance of a length from where it should be by now [m], besides
-            the motion of 30 ms and of the age of the sample.
-        direction_max: Largest turn of a winch against its commands [m], besides the motion of
-            30 ms and of the age of the sample.
+            the motion in the spread of lags (30 ms for a lag of 50 ms) and in the age of the
+            sample.
+        direction_max: Largest turn of a winch against its commands [m], besides the motion in the
+            spread of lags and in the age of the sample. The default is twenty times the noise of
+            an encoder, whatever the size of the robot.
         tension_shift_max: Largest relative change since `enable` of the ratio of measured tension
             to equilibrium tension at the measured lengths; with load cells and six cables or fewer.
             None: not checked, as sway shifts tensions too; for slow runs.
         first_way: Distance from where the robot is enabled at a new home within which it is to be
             moved slowly [m]; a home is new if it changed an offset by more than `home_change_max`.
         first_speed: Largest rate of a winch on that way [m/s]: half more than that of the platform.
+            It is a speed near people: the default is lower for smaller robots, and for larger ones
+            no higher, 0.075 m/s.
         first_shift_max: The same as `tension_shift_max`, within `first_way` alone.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
@@ -112,26 +120,26 @@ class GuardSettings:
     senses: SenseErrors = field(default_factory=SenseErrors)
     real_time: bool | None = None
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
-    first_max: float = 0.1
+    first_max: float = Scaled(0.1, "m")
     step_max: float | None = None
     speed_max: float | None = None
-    range_margin: float = 0.05
-    jump_max: float = 0.03
-    following_max: float = 0.06
+    range_margin: float = Scaled(0.05, "m")
+    jump_max: float = Scaled(0.03, "m")
+    following_max: float = Scaled(0.06, "m")
     direction_max: float = 0.004
     tension_shift_max: float | None = None
-    first_way: float = 0.1
-    first_speed: float = 0.075
+    first_way: float = Scaled(0.1, "m")
+    first_speed: float = Capped(0.075, "m/s")
     first_shift_max: float | None = 0.15
-    closure_max: float = 0.03
-    belief_max: float = 0.7
-    workspace_margin: float = 0.3
-    home_change_max: float = 0.1
+    closure_max: float = Scaled(0.03, "m")
+    belief_max: float = Scaled(0.7, "m")
+    workspace_margin: float = Scaled(0.3, "m")
+    home_change_max: float = Scaled(0.1, "m")
     stale_time: float | None = None
     hang_time: float = 0.25
     overrun_share: float = 0.5
     warm_up: int = 5
-    slack_time: float = 0.5
+    slack_time: float = Scaled(0.5, "s")
     record_lag: float = 2.0
 
     def __post_init__(self) -> None:
@@ -160,4 +168,5 @@ class GuardSettings:
         """Return the largest distance of a command from where each winch stands [m], (n,)."""
         if self.step_max is not None:
             return np.full(robot.n, self.step_max)
-        return np.asarray(self.first_max + WINCH_DELAY_S * self.slowed(robot).speed_max)
+        late = DELAY_S + float(robot.winch_lag.max())
+        return np.asarray(self.first_max + late * self.slowed(robot).speed_max)

@@ -13,8 +13,9 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
+from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION
 from carosac_toolkit.studies.compare.checks import (
     RECORDED_TRAJECTORY,
     check_known,
@@ -67,7 +68,7 @@ class Study:
         suites: Sensor suites that the driver has.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`; on the
             driver `replay` all of these are ``recorded`` instead, the path of the recording.
-        perturbations: Conditions that the plants are drawn from.
+        perturbations: Conditions that the plants are drawn from: names, or paths of YAML files.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, ``module:Class``, or class.
         speed_max: Of the trajectories [m/s]; None: 1 m/s on the robot ``carosac``, and as
@@ -93,7 +94,7 @@ class Study:
     estimators: Sequence[Any] = DEFAULT_ESTIMATORS
     suites: Sequence[str] = ("lengths",)
     trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
-    perturbations: Sequence[str] = ("nominal-1",)
+    perturbations: Sequence[str] = (DEFAULT_CONDITION,)
     seeds: int | Sequence[int] = DEFAULT_SEEDS
     driver: Any = DEFAULT_DRIVER
     speed_max: float | None = None
@@ -238,6 +239,9 @@ class Study:
                 acceleration if self.acceleration_max is None else float(self.acceleration_max)
             ),
         }
+        condition = condition_digest(case.perturbation)
+        if condition is not None:
+            settings["condition_digest"] = condition
         if case.controller in self.controller_settings:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])
         if case.estimator in self.estimator_settings:
@@ -268,7 +272,8 @@ def _check(study: Study) -> None:
         else trajectories.TRAJECTORY_NAMES
     )
     check_known("trajectory", study.trajectories, paths)
-    check_known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
+    for name in study.perturbations:
+        find_condition(name)
     own = own_settings(study.driver, study.driver_settings)
     for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
         raise InvalidField(f"driver_settings.{name}", repr(own[name]), "none: each case sets it")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.perturbations import find_condition
+from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.studies.compare.study import Study
 from carosac_toolkit.studies.run.case import canonical
 from carosac_toolkit.studies.run.run_case import robot_digest

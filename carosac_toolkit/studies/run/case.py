@@ -13,6 +13,7 @@ from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.version import __version__
+from carosac_toolkit.robot.perturbations import SEEDED_AS
 
 SEED_BITS = 63  # a signed 64-bit integer holds every seed
 
@@ -94,6 +95,8 @@ class Case:
     def _seed_from(self, purpose: str, *names: str) -> int:
         """Derive the seed for one purpose from some of the fields."""
         values = {name: getattr(self, name) for name in names}
+        if "perturbation" in values:
+            values["perturbation"] = SEEDED_AS.get(self.perturbation, self.perturbation)
         return int.from_bytes(_digest({"purpose": purpose, **values})[:8], "big") >> (
             64 - SEED_BITS
         )

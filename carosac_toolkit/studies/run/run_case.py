@@ -23,8 +23,9 @@ from carosac_toolkit.loop.plugin_errors import BadPlugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import load_robot, robot_text
-from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
+from carosac_toolkit.robot.perturbations import Condition, PlainCondition, draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.case import Case
@@ -41,7 +42,7 @@ FINAL_REST = Scaled(3.0, "s")  # after the trajectory, for the residual sway
 SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
-    "driver_settings", "timeout", "example_seed", "robot_digest",
+    "driver_settings", "timeout", "example_seed", "robot_digest", "condition_digest",
 )  # fmt: skip
 
 
@@ -91,7 +92,7 @@ def run_case(case: Case) -> dict[str, Any]:
     """
     settings = known_settings(case.settings)
     robot = robot_of(case.robot, digest_of(case))
-    condition = find_condition(case.perturbation)
+    condition = condition_of(case).of(robot)
     plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
     name = str(settings.get("driver", DEFAULT_DRIVER))
@@ -140,7 +141,7 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
 
 
 def given_to_driver(
-    case: Case, condition: Condition, period: float, start: tuple[Any, ...]
+    case: Case, condition: Condition | PlainCondition, period: float, start: tuple[Any, ...]
 ) -> dict[str, Any]:
     """Return settings of a driver that the case itself says; `start` in W [m], one or a row each.
 
@@ -247,6 +248,15 @@ def digest_of(case: Case) -> str:
     if case.settings.get("robot_digest", here) != here:
         raise CarosacError(f"robot {case.robot}: this file is not the one the study was made for")
     return here
+
+
+def condition_of(case: Case) -> Condition:
+    """Return the condition of a case; a file must be the one that the case was made for."""
+    if case.settings.get("condition_digest") not in (None, condition_digest(case.perturbation)):
+        raise CarosacError(
+            f"condition {case.perturbation}: this file is not the one the study was made for"
+        )
+    return find_condition(case.perturbation)
 
 
 @lru_cache(maxsize=8)

@@ -16,7 +16,7 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
-from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.studies.run.case import Case, canonical
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
@@ -24,6 +24,7 @@ from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.run_case import (
     DEFAULT_DRIVER,
     build_part,
+    condition_of,
     digest_of,
     estimator_of,
     example_series,
@@ -70,7 +71,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     first = cases[0]
     settings = known_settings(first.settings)
     robot = robot_of(first.robot, digest_of(first))
-    condition = find_condition(first.perturbation)
+    condition = condition_of(first).of(robot)
     plants = [
         draw_plant(robot, condition, np.random.default_rng(case.plant_seed)) for case in cases
     ]

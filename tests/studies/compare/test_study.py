@@ -264,3 +264,21 @@ def test_on_a_recording_nothing_is_tracked(tmp_path):
     assert line["failures"] == 0 and line["tracking_rmse_m"]["norm"] is None
     assert line["estimation_rmse_m"]["norm"] > 0.0 and line["command_rmse_m"] > 0.0
     assert "-" in terminal_table(results, 80) and conclusions(results) == []
+
+
+def test_a_changed_condition_file_makes_another_study(tmp_path):
+    path = tmp_path / "hall.yaml"
+    path.write_text("schema: carosac-condition/1\nmass: 3 %\n")
+    study = ct.Study(perturbations=[str(path)], seeds=1)
+    before = [case.identity for case in study.cases()]
+    path.write_text("schema: carosac-condition/1\nmass: 4 %\n")
+    assert not set(before) & {case.identity for case in study.cases()}
+
+
+def test_paths_are_as_fast_as_the_robot_is_large():
+    cases = ct.Study(robots=["carosac", "ipanema1"], seeds=1).cases()
+    speed = {case.robot: case.settings["speed_max"] for case in cases}
+    assert speed["carosac"] == 1.0
+    assert speed["ipanema1"] == pytest.approx(np.sqrt(2.6148 / 9.1418), rel=1e-4)
+    asked = ct.Study(robots=["carosac", "ipanema1"], seeds=1, speed_max=0.7).cases()
+    assert {case.settings["speed_max"] for case in asked} == {0.7}

@@ -11,14 +11,15 @@ import pytest
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.recordings.files import save_recording
+from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import robot_text
-from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.run.rows import checked_values
 from carosac_toolkit.studies.run.run_case import (
     SERIES_SAMPLES_MAX,
     Truth,
     build_part,
+    condition_of,
     given_to_driver,
     robot_digest,
     run_case,
@@ -309,3 +310,19 @@ def test_nothing_is_scored_that_nobody_knows():
     row = score(log, simple_robot(), 1.0)
     assert row["tracking_rmse_norm_m"] is row["estimation_rmse_norm_m"] is None
     assert row["command_rmse_m"] == pytest.approx(0.002)
+
+
+def test_nominal_2_gives_the_rows_of_nominal_1_on_carosac():
+    rows = [run_case(case(perturbation=name)) for name in ("nominal-1", "nominal-2")]
+    one, two = (without_latency(row) for row in rows)
+    assert one == two
+
+
+def test_a_condition_file_must_be_the_one_the_study_was_made_for(tmp_path):
+    path = tmp_path / "hall.yaml"
+    path.write_text("schema: carosac-condition/1\nmass: 3 %\nwind_force: 1 % of weight\n")
+    digest = condition_digest(str(path))
+    assert condition_of(case(perturbation=str(path), settings={"condition_digest": digest})).mass
+    path.write_text("schema: carosac-condition/1\nmass: 4 %\n")
+    with pytest.raises(CarosacError, match="not the one the study was made for"):
+        run_case(case(perturbation=str(path), settings=FAST | {"condition_digest": digest}))

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import pytest
+
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.similar import similar_robot, similarity
+from carosac_toolkit.safety.guard import GuardSettings
+from carosac_toolkit.safety.settled import settled
+
+DISTANCES = (
+    "first_max", "range_margin", "jump_max", "following_max", "first_way", "closure_max",
+    "belief_max", "workspace_margin", "home_change_max",
+)  # fmt: skip
+
+
+def test_on_carosac_all_numbers_are_those_that_are_stated():
+    stated, known = GuardSettings(), settled(GuardSettings(), load_robot("carosac"))
+    for name in (*DISTANCES, "first_speed", "slack_time", "direction_max"):
+        assert getattr(known, name) == getattr(stated, name), name
+    assert known.limits.jump_max == pytest.approx(0.3)
+    assert known.step(load_robot("carosac")) == pytest.approx(0.35)
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_distances_grow_with_the_robot_and_what_is_given_stays(factor):
+    robot, ratios = similar_robot(load_robot("carosac"), factor), similarity(factor)
+    known = settled(GuardSettings(belief_max=0.4), robot)
+    assert known.belief_max == 0.4
+    for name in set(DISTANCES) - {"belief_max"}:
+        at_one = float(getattr(GuardSettings(), name))
+        assert getattr(known, name) == pytest.approx(at_one * factor), name
+    assert known.slack_time == pytest.approx(0.5 * ratios.time)
+    assert known.direction_max == 0.004  # of the encoders
+
+
+def test_a_large_robot_is_not_faster_near_people():
+    base = load_robot("carosac")
+    assert settled(GuardSettings(), similar_robot(base, 10.0)).first_speed == 0.075
+    assert settled(GuardSettings(), similar_robot(base, 0.1)).first_speed == pytest.approx(
+        0.075 * 0.1**0.5
+    )
+    assert settled(GuardSettings(first_speed=0.2), base).first_speed == 0.2
