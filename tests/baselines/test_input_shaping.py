@@ -271,3 +271,11 @@ def test_settings_that_make_no_sense_are_refused(name, value):
 def test_shapers_that_make_no_sense_are_refused(name, arguments):
     with pytest.raises(InvalidField, match=f"{name}: got"):
         impulses(*arguments)
+
+
+def test_a_shaper_without_a_mode_says_that_it_does_nothing():
+    """So the table of a study can say so; on a robot that sways there is nothing to remark."""
+    robot = simple_robot()
+    assert InputShaping.build(robot).remark is None
+    stiff = InputShaping.build(robot, InputShapingSettings(frequency_max=0.0))
+    assert stiff.modes == 0 and "commands are those of kinematic_solver" in stiff.remark

@@ -33,7 +33,7 @@ from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_of
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 PATH_SAMPLES = 160  # of one path
-PATHS_MAX = 4  # seeds of each kind of path that are judged: they differ little
+PATHS_MAX = 3  # seeds of each kind of path that are judged: they differ little
 CABLES_MIN = 3  # with fewer the platform rests on a surface only, which a path need not lie on
 MARGIN_TOLERANCE_RATIO = 0.02  # of the weight per cable: what straight cables may be wrong by
 WINCH_TOLERANCE_RATIO = 1e-3  # of a winch limit: differences of lengths are not exact

@@ -74,8 +74,8 @@ def _diverged(results: StudyResults) -> Iterator[str]:
             text for text in line["reasons"] if text.startswith("diverged: ")
         ).removeprefix("diverged: ")
         yield (
-            f"{label} diverged in {line['diverged']} of {line['cases']} cases, which are no score "
-            f"and in no mean: {reason}."
+            f"{label} diverged in {line['diverged']} of {line['cases']} cases, which have no score "
+            f"and count in no mean: {reason}."
         )
 
 
@@ -109,9 +109,11 @@ def _tensions(results: StudyResults) -> Iterator[str]:
     ]
     if slack:
         low = max(line["tension_limit_low_N"] or 0.0 for line in results.summary)
+        held = any((x["limited_share"] or 0.0) > LIMITED_SHARE_MIN for x in results.summary)
+        first = "see to the limited commands first, then " if held else ""
         yield (
             f"Cables went slack, below tension_min ({low:g} N): {'; '.join(slack)}. A slack cable "
-            "does not guide the platform: go slower, or keep farther from the edge of the "
+            f"does not guide the platform: {first}go slower, or keep farther from the edge of the "
             "workspace."
         )
     over = [

@@ -205,6 +205,7 @@ def test_late_solves_are_thrown_away_and_counted():
     reference = scene.references(controller.period, controller.horizon)[0]
     controller.command(scene.beliefs[0], reference)
     assert controller.record.failures == {"late": 1}
+    assert controller.fallbacks == {"late": 1}
     assert "allowed: 1e-09 s" in controller.record.reason
     assert controller.record.solve_time > 0.0
 

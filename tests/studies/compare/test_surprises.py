@@ -59,7 +59,8 @@ def test_diverged_cases_are_counted_told_and_in_no_mean():
     assert line["tension_min_N"] == 1.0
     assert "diverged 1 of 3" in terminal_table(results, 100)
     assert surprises(results)[0] == (
-        "b diverged in 1 of 3 cases, which are no score and in no mean: the platform left the box."
+        "b diverged in 1 of 3 cases, which have no score and count in no mean: the platform left "
+        "the box."
     )
 
 
