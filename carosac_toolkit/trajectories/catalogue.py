@@ -12,6 +12,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.arcs import circle, spiral
 from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.moves import line, waypoints
+from carosac_toolkit.trajectories.resting import onto_rest
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 BOX_SHARE = 0.7  # share of the box that circle, spiral and line span
@@ -27,6 +28,8 @@ def build(
 ) -> Trajectory:
     """Build a trajectory of the catalogue inside the workspace box of a robot.
 
+    With two cables it is moved onto positions at which the robot can rest.
+
     Args:
         name: One of `TRAJECTORY_NAMES`.
         robot: Whose box it is.
@@ -41,7 +44,8 @@ def build(
     if name not in _TRAJECTORY_BUILDERS:
         raise InvalidField("trajectory", repr(name), f"one of {list(TRAJECTORY_NAMES)}")
     rng = np.random.default_rng(seed)
-    return _TRAJECTORY_BUILDERS[name](robot, rng, speed_max, acceleration_max).within(robot)
+    wanted = _TRAJECTORY_BUILDERS[name](robot, rng, speed_max, acceleration_max)
+    return onto_rest(robot, wanted).within(robot)
 
 
 def _box(robot: Robot) -> tuple[Array, Array]:
