@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.rest.nearest import nearest_rest, rest_at
@@ -58,8 +59,8 @@ def test_between_two_vertical_cables_a_platform_swings_as_a_pendulum():
 
 def test_each_plant_of_two_cables_starts_on_its_own_surface():
     robot = hanging(2)
-    moved = replace(robot, exit_points=robot.exit_points + [0.0, 0.01, 0.0])
-    rest = rest_at(Fleet([robot, moved]), np.zeros((2, 3)) + [0.0, 0.0, 2.0])
+    moved = replace(robot, exit_points=robot.exit_points + np.array([0.0, 0.01, 0.0]))
+    rest = rest_at(Fleet([robot, moved]), np.tile([0.0, 0.0, 2.0], (2, 1)))
     assert rest.converged.all()
     assert rest.position[:, 1] == pytest.approx([0.0, 0.01], abs=1e-9)
 
@@ -73,3 +74,17 @@ def test_a_path_of_two_cables_lies_where_the_platform_can_rest(name):
     assert where[:, 1] == pytest.approx(0.0, abs=1e-12)
     assert ct.statics.inverse_kinematics(robot, where).converged.all()
     assert build(name, hanging(3), seed=1).moved == 0.0
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_straight_cables_find_the_position_of_few_cables(n):
+    robot = hanging(n)
+    where = positions(robot, 30) * ([1.0, 0.0, 1.0] if n == 2 else 1.0)
+    fit = straight_line.forward_kinematics(robot, straight_line.inverse_kinematics(robot, where))
+    assert fit.converged.all()
+    assert fit.position == pytest.approx(where, abs=1e-9)
+    beside = where + ([0.0, 0.3, 0.0] if n == 2 else [0.0, 0.0, 0.1])
+    again = straight_line.forward_kinematics(
+        robot, straight_line.inverse_kinematics(robot, where), guess=beside
+    )
+    assert again.position == pytest.approx(where, abs=1e-9)
