@@ -33,6 +33,7 @@ from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.nearest import rest_at
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
@@ -159,7 +160,7 @@ class Simulator:
         which = np.arange(self._size, dtype=np.int32)
         fleet = self._static_fleet(which)
         home = np.broadcast_to(fleet.home_position, (self._size, 3))
-        rest = statics.inverse_kinematics(fleet, home, device=self.device)
+        rest = rest_at(fleet, home, device=self.device)
         sound = rest.converged & rest.stable
         if sound.any():
             kept = {x.name: getattr(rest, x.name)[sound] for x in fields(Equilibrium)}
@@ -388,7 +389,7 @@ class Simulator:
                 held = batch("rotation", rotation, (3, 3))
                 check_rows("rotation", held, count)
                 check_rotations("rotation", held)
-            rest = statics.inverse_kinematics(fleet, given, held, device=self.device)
+            rest = rest_at(fleet, given, held, device=self.device)
         sound = rest.converged & rest.stable
         if not sound.all():
             k = int(np.argmin(sound))

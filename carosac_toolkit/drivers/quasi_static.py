@@ -17,6 +17,7 @@ from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import State
 from carosac_toolkit.physics.motion.winch import WinchBatch, WinchSettings
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.nearest import rest_at
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -53,7 +54,7 @@ class QuasiStaticPlant:
         Raises:
             InvalidField: There is no rest within the tension limits.
         """
-        rest = statics.inverse_kinematics(self.robot, position)
+        rest = rest_at(self.robot, position)
         if not rest.converged.all():
             row = int(np.argmin(rest.converged))
             where = "start_position" if self.size == 1 else f"start_position[{row}]"

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.base.scaled import Ratios, Scaled
+from carosac_toolkit.base.scaled import Ratios
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.sizes import cable_size
 
@@ -83,8 +83,3 @@ class Scales:
         """
         robot = self.robot
         return float((robot.acceleration_max / np.maximum(0.5 * robot.winch_lag, period)).min())
-
-
-def number_for(robot: Robot, value: float) -> float:
-    """Return a number as it is, and a `Scaled` default for a robot."""
-    return value.of(Scales(robot).ratios) if isinstance(value, Scaled) else float(value)

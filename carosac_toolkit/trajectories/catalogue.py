@@ -14,6 +14,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.arcs import circle, spiral
 from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.moves import line, waypoints
+from carosac_toolkit.trajectories.resting import onto_rest
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 BOX_SHARE = 0.7  # share of the box that circle, spiral and line span
@@ -30,6 +31,8 @@ def build(
     acceleration_max: float | None = None,
 ) -> Trajectory:
     """Build a trajectory of the catalogue inside the workspace box of a robot.
+
+    With two cables it is moved onto positions at which the robot can rest.
 
     Args:
         name: One of `TRAJECTORY_NAMES`.
@@ -48,7 +51,8 @@ def build(
     speed, acceleration = default_limits(robot)
     speed = speed if speed_max is None else speed_max
     acceleration = acceleration if acceleration_max is None else acceleration_max
-    return _TRAJECTORY_BUILDERS[name](robot, rng, speed, acceleration).within(robot)
+    wanted = _TRAJECTORY_BUILDERS[name](robot, rng, speed, acceleration)
+    return onto_rest(robot, wanted).within(robot)
 
 
 def default_limits(robot: Robot) -> tuple[float, float]:

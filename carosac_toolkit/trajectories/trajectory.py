@@ -46,12 +46,14 @@ class Trajectory:
         curve: Over nominal time, which is stretched uniformly to the duration.
         duration: [s].
         points: Points that it passes, in W [m], shape (K, 3), or None.
+        moved: How far the curve was moved onto positions at which the robot can rest, at most [m].
     """
 
     name: str
     curve: Curve
     duration: float
     points: Array | None = None
+    moved: float = 0.0
 
     def __post_init__(self) -> None:
         """Freeze the points and check the duration."""

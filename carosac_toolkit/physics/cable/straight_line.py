@@ -157,7 +157,8 @@ def forward_kinematics(
     The squared error has several minima: where the exit points are near one plane, each solution
     below it has a twin above it. The one found is the one downhill from the guess; the default, the
     home position, finds the side on which the robot works. Where lengths are consistent the
-    residual vanishes; check it where they may not be.
+    residual vanishes; check it where they may not be. Two cables leave a circle: on it the position
+    is that in the vertical plane in which a platform hangs.
 
     Args:
         robot: Robot description, n cables.

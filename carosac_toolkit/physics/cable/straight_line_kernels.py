@@ -142,6 +142,17 @@ def misfit(
         gradient += error * unit
         hessian += wp.outer(unit, unit) + error * bend
         valid *= inside
+    if exit_point.shape[0] == 2:  # under two cables the weight holds the platform in one plane
+        first = exit_point[0] - rotation * anchor[0]
+        across = wp.cross(
+            exit_point[1] - rotation * anchor[1] - first, vec3(f64(0.0), f64(0.0), f64(1.0))
+        )
+        if wp.length(across) > f64(0.0):
+            normal = wp.normalize(across)
+            beside = wp.dot(normal, position - first)
+            cost += f64(0.5) * beside * beside
+            gradient += beside * normal
+            hessian += wp.outer(normal, normal)
     return cost, gradient, hessian, valid
 
 
@@ -194,7 +205,7 @@ def fit_position(
     b = wp.tid()
     n = exit_point.shape[0]
     cables = f64(n)
-    scale = f64(1.0)
+    scale = f64(0.0)
     for i in range(n):
         scale = wp.max(scale, wp.abs(target[b, i]))
     turn = rotation[b]
