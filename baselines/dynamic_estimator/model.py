@@ -58,7 +58,7 @@ class DynamicModel:
         import pinocchio
 
         self.robot = robot
-        self.errors = Errors(robot.n)
+        self.errors = Errors(robot.n, cells=settings.load_cells)
         where = self.errors
         steps = np.full(where.moving, DIFFERENCE_STEP_M * np.sqrt(robot.mass))
         steps[where.wind], steps[where.mass] = WIND_STEP_N, LOG_MASS_STEP
