@@ -10,6 +10,7 @@ from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.tension_measurement import measured_tension
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.scales import Scales
@@ -108,6 +109,15 @@ class DynamicFilter:
         measurement = self._sensors.pose(state, position, rotation)
         cross = state.covariance @ measurement.by.T
         own = measurement.by @ cross + measurement.noise + np.diag(swept**2)
+        return self._corrected(state, cross, own, measurement.residual)
+
+    def tension(
+        self, state: DynamicFilterState, tension: Array
+    ) -> tuple[DynamicFilterState, InnovationTally]:
+        """Correct by tensions (n,) measured at the time of a state [N]."""
+        measurement = measured_tension(self._model.robot, state, tension, self._settings)
+        cross = state.covariance @ measurement.by.T
+        own = measurement.by @ cross + measurement.noise
         return self._corrected(state, cross, own, measurement.residual)
 
     def _noise(self, duration: float, keep: float) -> Array:

@@ -21,12 +21,13 @@ class Errors:
         center: Centre of mass in P [m].
         bias: What the length readings say too much, n of them [m].
         imu: Biases of gyroscope [rad/s] and accelerometer [m/s^2].
+        cells: Biases of the load cells, n of them or none [N].
         moving: How many errors change the motion: all before `imu`.
         size: All of them.
     """
 
-    def __init__(self, n: int) -> None:
-        """Lay out the errors for n cables."""
+    def __init__(self, n: int, *, cells: bool = False) -> None:
+        """Lay out the errors for n cables, with load cells or without."""
         m = max(0, 6 - n)
         self.m, self.n = m, n
         self.sway = slice(0, m)
@@ -37,7 +38,8 @@ class Errors:
         self.bias = slice(2 * m + 6, 2 * m + 6 + n)
         self.moving = 2 * m + 6 + n
         self.imu = slice(self.moving, self.moving + 6)
-        self.size = self.moving + 6
+        self.cells = slice(self.moving + 6, self.moving + 6 + (n if cells else 0))
+        self.size = self.cells.stop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +56,7 @@ class DynamicFilterState:
         center: Centre of mass in P [m], shape (3,).
         length_bias: What the readings say too much [m], shape (n,).
         imu_bias: Of gyroscope [rad/s] and accelerometer [m/s^2], shape (6,).
+        cell_bias: Of the load cells [N], shape (n,), or (0,) where they are not used.
         covariance: In the order of `Errors`.
         sway: The coordinates that it refers to.
         tension: At the platform [N], shape (n,).
@@ -69,6 +72,7 @@ class DynamicFilterState:
     center: Array
     length_bias: Array
     imu_bias: Array
+    cell_bias: Array
     covariance: Array
     sway: SwayBasis
     tension: Array
@@ -77,7 +81,7 @@ class DynamicFilterState:
     @property
     def errors(self) -> Errors:
         """The order of its errors."""
-        return Errors(len(self.length_bias))
+        return Errors(len(self.length_bias), cells=len(self.cell_bias) > 0)
 
     def pose_by(self) -> Array:
         """Return the pose error per error, shape (6, size): cables leave no other."""
@@ -108,6 +112,7 @@ class DynamicFilterState:
             center=self.center + error[where.center],
             length_bias=self.length_bias + error[where.bias],
             imu_bias=self.imu_bias + error[where.imu],
+            cell_bias=self.cell_bias + error[where.cells],
             covariance=0.5 * (covariance + covariance.T),
         )
 

@@ -61,7 +61,7 @@ class DynamicModel:
         import pinocchio
 
         self.robot = robot
-        self.errors = Errors(robot.n)
+        self.errors = Errors(robot.n, cells=settings.load_cells)
         where, ratios = self.errors, Scales(robot).ratios
         steps = np.zeros(where.moving)
         steps[where.sway] = SWAY_STEP.of(ratios) * np.sqrt(robot.mass)

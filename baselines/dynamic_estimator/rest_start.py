@@ -66,6 +66,7 @@ class RestStart:
             center=robot.center_of_mass,
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
+            cell_bias=np.zeros(n if self._settings.load_cells else 0),
             covariance=self._covariance(alone, sway, self._derivatives(rests), speed),
             sway=sway,
             tension=alone.tension[0],
@@ -85,13 +86,15 @@ class RestStart:
         self, rest: Equilibrium, sway: SwayBasis, by: Array, speed: float | None
     ) -> Array:
         """Return the covariance of all errors: unknowns move the rest, motion comes on top."""
-        s, where = self._settings, Errors(self._robot.n)
+        s = self._settings
+        where = Errors(self._robot.n, cells=s.load_cells)
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force
         spread[where.mass] = s.mass
         spread[where.center] = s.center_of_mass
         spread[where.bias] = s.bias_deviation
         spread[where.imu] = np.repeat([s.angular_rate_bias, s.specific_force_bias], 3)
+        spread[where.cells] = s.load_cell_bias
         carry = np.eye(where.size)
         free = np.array(by)
         free[:, 4:] -= sway.slaved

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields, replace
 
 from carosac_toolkit.base.arrays import frozen_array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_not_negative, check_positive
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.physics.scales import Scales
@@ -56,6 +57,11 @@ class DynamicEstimatorSettings:
         specific_force_bias: Constant [m/s^2].
         imu_position: Where the IMU is, in P [m].
         imu_rotation: Rotation vector from the axes of the IMU to P [rad].
+        load_cells: Whether measured tensions correct the filter, where there are any.
+        load_cell_noise: Of each sample of a load cell [N].
+        load_cell_bias: Constant, per cable [N].
+        tension_vibration: Of the tensions, by vibrations of the stretch, which the model does not
+            know; over the weight of the platform.
         position_noise: Of measured poses, per axis [m].
         rotation_noise: Of measured poses, per axis [rad].
         gate: Normalised innovation squared, over its degrees of freedom, beyond which a
@@ -94,6 +100,10 @@ class DynamicEstimatorSettings:
     specific_force_bias: float = 0.05
     imu_position: Mount = (0.0, 0.0, 0.0)
     imu_rotation: Mount = (0.0, 0.0, 0.0)
+    load_cells: bool = False
+    load_cell_noise: float = 0.5
+    load_cell_bias: float = 1.0
+    tension_vibration: float = 0.05
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
     gate: float = 6.0
@@ -106,13 +116,15 @@ class DynamicEstimatorSettings:
         """Refuse numbers that make no sense."""
         for name in _MOUNT_FIELDS:
             frozen_array(name, getattr(self, name), (3,))
+        if not isinstance(self.load_cells, bool):
+            raise InvalidField("load_cells", repr(self.load_cells), "True or False")
         if self.delay is not None:
             check_not_negative("delay", self.delay, "s")
         if self.length_bias is not None:
             check_not_negative("length_bias", self.length_bias)
         if self.stretch_noise is not None:
             check_positive("stretch_noise", self.stretch_noise)
-        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, *_OPTIONAL_FIELDS)
+        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, *_OPTIONAL_FIELDS, "load_cells")
         others = [item.name for item in fields(self) if item.name not in apart]
         check_fields(self, positive=_POSITIVE_FIELDS, not_negative=others)
 
@@ -140,7 +152,7 @@ def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEst
 _OPTIONAL_FIELDS = ("length_bias", "stretch_noise", "delay")
 _MOUNT_FIELDS = ("imu_position", "imu_rotation")
 _POSITIVE_FIELDS = (
-    "stretch_vibration", "wind_time", "start_speed", "angular_rate_noise",
+    "stretch_vibration", "load_cell_noise", "wind_time", "start_speed", "angular_rate_noise",
     "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
     "reading_jump", "time_step", "gap_max",
 )  # fmt: skip

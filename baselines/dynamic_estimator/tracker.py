@@ -54,6 +54,18 @@ class TimedPose(NamedTuple):
     used: bool = False
 
 
+class TimedTension(NamedTuple):
+    """Measured tensions.
+
+    Attributes:
+        time: [s].
+        value: At the platform [N], shape (n,).
+    """
+
+    time: float
+    value: Array
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
     """Memory of the tracker of one robot.
@@ -65,6 +77,7 @@ class Track:
         waiting: IMU samples that are later than the filter: time [s], angular rate [rad/s] and
             specific force [m/s^2], shape (K, 7).
         poses: Measured poses that are later than the filter, the last one in any case.
+        tensions: Measured tensions that are later than the filter, the last one in any case.
         tally: What measurements said against the filter since the last belief.
         restarts: How often the platform was hung anew.
         stale: How often lengths were held for want of readings, and doubted the more, the faster
@@ -76,6 +89,7 @@ class Track:
     readings: LengthReadings
     waiting: Array
     poses: tuple[TimedPose, ...]
+    tensions: tuple[TimedTension, ...]
     tally: InnovationTally
     restarts: int
     stale: int = 0
@@ -116,7 +130,7 @@ class Tracker:
             state = state.slipped(readings.slid, self._tolerances.slip_deviation)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            poses=(), tally=InnovationTally(), restarts=0,
+            poses=(), tensions=(), tally=InnovationTally(), restarts=0,
         )  # fmt: skip
 
     def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
@@ -133,7 +147,8 @@ class Tracker:
         )
         track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
-                        poses=_known_poses(track.poses, measurement, row))  # fmt: skip
+                        poses=_known_poses(track.poses, measurement, row),
+                        tensions=self._known_tensions(track, measurement, row))  # fmt: skip
         if readings.slipped is not None:
             track = replace(
                 track, readings=replace(readings, slipped=None),
@@ -199,12 +214,20 @@ class Tracker:
             track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
         )
         due = [p for p in track.poses if not p.used and p.time <= known + READING_INTERVAL_MIN_S]
-        stops = sorted({*groups, *(p.time for p in due)})
+        cells = {
+            t.time: t.value
+            for t in track.tensions
+            if state.time + READING_INTERVAL_MIN_S <= t.time <= known + READING_INTERVAL_MIN_S
+        }
+        stops = sorted({*groups, *cells, *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:
             state, added = self._to(state, track.readings, stop, groups.get(stop))
             tally = tally + added
+            if stop in cells and state.time == stop:
+                state, added = self._filter.tension(state, cells[stop])
+                tally = tally + added
             for pose in due:
                 if pose.time == stop:
                     state, added = self._posed(state, pose)
@@ -213,6 +236,21 @@ class Tracker:
             p._replace(used=p.used or p.time <= known + READING_INTERVAL_MIN_S) for p in track.poses
         )
         return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
+
+    def _known_tensions(
+        self, track: Track, measurement: Measurement, row: int
+    ) -> tuple[TimedTension, ...]:
+        """Return the tensions that are later than the filter, with the new ones if used."""
+        assert track.state is not None
+        stamped = measurement.tension
+        if stamped is None or not self._settings.load_cells:
+            return ()
+        kept = tuple(t for t in track.tensions[:-1] if t.time > track.state.time)
+        kept += track.tensions[-1:]
+        when = float(stamped.time[row]) + self._delay
+        if kept and when <= kept[-1].time + READING_INTERVAL_MIN_S:
+            return kept
+        return (*kept, TimedTension(when, stamped.value[row]))
 
     def _posed(
         self, state: DynamicFilterState, pose: TimedPose
