@@ -8,12 +8,17 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from baselines.kinematic_solver_controller import (
+    KinematicSolverController,
+    KinematicSolverControllerSettings,
+)
 from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
 from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
+from baselines.mpc.premise import broken_premise
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target_reader import TargetReader
@@ -44,10 +49,14 @@ class Mpc:
     the winches taken out. Should a solve fail, the last plan goes on for some steps; then the
     platform is brought to rest near where it is. All that is counted in `record`.
 
+    On a robot whose cables are too soft for such plans (`baselines.mpc.premise`) the commands are
+    those of the kinematic solver, and `remark` says so.
+
     Attributes:
         period: Time between two commands [s].
         horizon: How far ahead the reference must reach [s].
         record: What happened since the last reset.
+        remark: Reason why nothing is planned for this robot, or None.
     """
 
     Settings: ClassVar = MpcSettings
@@ -68,6 +77,16 @@ class Mpc:
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
+        self.remark = broken_premise(robot)
+        self._follower: KinematicSolverController | None = None
+        if self.remark is not None:
+            self._follower = KinematicSolverController(
+                robot,
+                KinematicSolverControllerSettings(
+                    period=self.period, distribution=settings.distribution
+                ),
+            )
+            self.horizon = max(self.horizon, self._follower.horizon)
 
     @classmethod
     def build(cls, robot: Robot, settings: MpcSettings | None = None, *, seed: int = 0) -> Self:
@@ -87,6 +106,8 @@ class Mpc:
             NoStart: No cables can reach there.
         """
         _check_one(belief)
+        if self._follower is not None:
+            self._follower.reset(belief)
         stage = self._planner.stage
         self.record = MpcRecord(compiled=stage.compiled, interpreted_because=stage.reason)
         self._planner.reset()
@@ -119,6 +140,8 @@ class Mpc:
         if not self._ready:
             raise InvalidField("mpc", "no belief to start from", "a call of reset() first")
         self.record.commands += 1
+        if self._follower is not None:
+            return self._follower.command(belief, reference)
         now = float(belief.time[0])
         start = self._observer.start(
             belief, self._winches.length - self._excess, self._winches.rate,
