@@ -126,15 +126,17 @@ class Policy:
             raise MissingFile(path)
         session = _session(path)
         try:
+            sides = {
+                "observation": {one.name: one.shape for one in session.get_inputs()},
+                "action": {one.name: one.shape for one in session.get_outputs()},
+            }
             description = _description(path, session.get_modelmeta().custom_metadata_map)
             settings = environment_settings(description.settings)
             check_probe(description.probe, description.robot, settings)
         except MALFORMED as error:
             got = f"{path} with damaged metadata: {error}"
             raise InvalidField("path", got, POLICY_FILE_NAME) from error
-        sides = (("observation", session.get_inputs()), ("action", session.get_outputs()))
-        for name, ends in sides:
-            shapes = {one.name: one.shape for one in ends}
+        for name, shapes in sides.items():
             if set(shapes) != {name} or not _is_batch(shapes[name]):
                 raise InvalidField(
                     "path", f"{path} with {shapes}", f"{POLICY_FILE_NAME}: {name} (batch, d)"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.base.file_limits import check_recording
 from carosac_toolkit.interchange.bag import Bag
 
@@ -269,6 +269,8 @@ class _Samples:
 
     def ordered(self, topic: str, stamps: str, labels: tuple[str, ...] = ()) -> TopicSamples:
         """Return samples in the order of one clock, each stamp once."""
+        if not len(self._numbers):
+            raise InvalidFile(self._name, [f"no numbers in the messages of {topic}"])
         received, known = np.array(self._received), np.array(self._stamps)
         complete = len(known) == len(received)
         clock = "header" if stamps == "header" and complete else "receive"

@@ -265,3 +265,9 @@ def test_a_message_of_thousands_of_numbers_is_no_row_of_a_recording():
     samples = bag_channels._Samples("run.bag")
     with pytest.raises(InvalidFile, match="has 8000 columns; allowed: up to 1000"):
         samples.add(1, None, np.ones(8000))
+
+
+def test_messages_without_numbers_are_no_channel():
+    samples = bag_channels._Samples("run.mcap")
+    with pytest.raises(InvalidFile, match="no numbers in the messages of /lengths"):
+        samples.ordered("/lengths", "header")
