@@ -57,7 +57,8 @@ class DynamicEstimatorSettings:
         specific_force_bias: Constant [m/s^2].
         imu_position: Where the IMU is, in P [m].
         imu_rotation: Rotation vector from the axes of the IMU to P [rad].
-        load_cells: Whether measured tensions correct the filter, where there are any.
+        load_cells: Whether measured tensions correct the filter, where there are any; in a study,
+            on suites with ``tension``.
         load_cell_noise: Of each sample of a load cell [N].
         load_cell_bias: Constant, per cable [N].
         tension_vibration: Of the tensions, by vibrations of the stretch, which the model does not

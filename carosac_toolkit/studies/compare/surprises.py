@@ -48,6 +48,7 @@ def surprises(results: StudyResults) -> list[str]:
         *_limited(results),
         *_tensions(results),
         *_outside(results),
+        *_moved(results),
         *_fallbacks(results),
         *_identical(results),
     ]
@@ -138,6 +139,20 @@ def _outside(results: StudyResults) -> Iterator[str]:
     ]
     if out:
         yield f"The platform was outside the workspace box: {'; '.join(out)}."
+
+
+def _moved(results: StudyResults) -> Iterator[str]:
+    """Tell which robots could not rest on the paths that were asked."""
+    most: dict[str, float] = {}
+    for row in results.rows:
+        name, moved = str(row["robot"]), float(row.get("path_moved_m") or 0.0)
+        most[name] = max(most.get(name, 0.0), moved)
+    for name, moved in most.items():
+        if moved > 0.0:
+            yield (
+                f"Paths were moved onto positions at which {short_name(name)} can rest, by up to "
+                f"{moved:.3g} m; errors count from there."
+            )
 
 
 def _fallbacks(results: StudyResults) -> Iterator[str]:

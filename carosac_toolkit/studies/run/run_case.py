@@ -117,7 +117,7 @@ def run_case(case: Case) -> dict[str, Any]:
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
-    row |= own_words(controller)
+    row |= own_words(controller) | {"path_moved_m": path.moved}
     row[DIVERGED] = divergence(log, robot, replayed=recorded)
     return row | {"series": example_series(case, log)}
 
@@ -137,7 +137,10 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == "truth":
         return Truth(driver)
-    return build_part("estimators", case.estimator, robot, case, "estimator_settings")
+    given = {"load_cells": "tension" in case.suite.split("+")}
+    asked = case.settings.get("estimator_settings", {})
+    given = {name: value for name, value in given.items() if name not in asked}
+    return build_part("estimators", case.estimator, robot, case, "estimator_settings", given)
 
 
 def given_to_driver(

@@ -50,6 +50,11 @@ def test_slack_and_overloaded_cables_are_told_with_the_limits():
     assert "above tension_max (500 N): a 2 % of the time, up to 700 N" in over
 
 
+def test_paths_that_were_moved_to_where_the_robot_can_rest_are_told():
+    (text,) = surprises(study(rows("a", path_moved_m=0.0421)))
+    assert "can rest, by up to 0.0421 m" in text
+
+
 def test_diverged_cases_are_counted_told_and_in_no_mean():
     wild = bad(case("b", 2), "the platform left the box", "diverged") | CALM | {"steps": 100}
     wild |= {"tracking_rmse_norm_m": 99.0, "tension_min_N": 1.0}
