@@ -14,11 +14,13 @@ from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 STEP = 1e-5  # of finite differences, in the units of the errors
-TURN_STEP_S = 1e-4  # of the change of the structure matrix along the motion
+TURN_STEP = Scaled(1e-4, "s")  # of the change of the structure matrix along the motion
 
 
 def measured_tension(
@@ -99,10 +101,11 @@ def rigid_tensions(
     gyroscopic = np.cross(spin, np.einsum("bij,bj->bi", inertia, spin))
     load = np.hstack([force, np.cross(lever, force) - gyroscopic])
     columns = structure_matrix(robot, position, rotation)
+    instant = TURN_STEP.of(Scales(robot).ratios)
     later = structure_matrix(
-        robot, position + TURN_STEP_S * twist[:, :3], _turns(TURN_STEP_S * spin) @ rotation
+        robot, position + instant * twist[:, :3], _turns(instant * spin) @ rotation
     )
-    turning = np.einsum("bij,bi->bj", (later - columns) / TURN_STEP_S, twist)
+    turning = np.einsum("bij,bi->bj", (later - columns) / instant, twist)
     light = np.linalg.solve(matrix, columns)  # M^-1 A
     asked = -np.einsum("bij,bi->bj", light, load) - turning
     tension: Array = np.einsum(

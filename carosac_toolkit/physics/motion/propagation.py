@@ -26,7 +26,7 @@ from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_re
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-PROPAGATION_STEP_S = 0.01  # [s]
+PROPAGATION_STEP = Scaled(0.01, "s")
 INSTANT = Scaled(1e-6, "s")  # in which nothing moves
 
 
@@ -79,7 +79,7 @@ class Propagation:
         robot: Robot,
         size: int,
         *,
-        time_step: float = PROPAGATION_STEP_S,
+        time_step: float | None = None,
         cable_drag: float | None = None,
         device: str = "cpu",
     ) -> None:
@@ -88,13 +88,15 @@ class Propagation:
         Args:
             robot: Robot description; bodies may be changed later, one for each motion.
             size: Number of motions B.
-            time_step: Longest time step [s].
+            time_step: Longest time step [s]; None: 10 ms on ``carosac``, scales with the robot.
             cable_drag: Air drag of the cables per mass [1/s]; None: 0.5 on ``carosac``, scales with
                 the robot.
             device: Warp device.
         """
         warp_setup.load(dynamics_kernels, device)
-        self.size, self.n, self.time_step = size, robot.n, time_step
+        self.size, self.n = size, robot.n
+        usual = PROPAGATION_STEP.of(Scales(robot).ratios)
+        self.time_step = usual if time_step is None else time_step
         self._device = device
         self._plants = upload_plants(Fleet([robot] * size), device, WinchSettings(), 0.0, 1.0)
         self._bodies = np.repeat(rigid_body_record(robot)[None], size)

@@ -7,7 +7,7 @@ import pytest
 
 import carosac_toolkit as ct
 from baselines.dynamic_estimator.rest_start import RestStart
-from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, settings_for
 from baselines.dynamic_estimator.tension_measurement import measured_tension, rigid_tensions
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.rest import statics
@@ -17,7 +17,7 @@ USED = DynamicEstimatorSettings(load_cells=True)
 
 def at_rest(robot, settings=USED):
     rest = statics.inverse_kinematics(robot, robot.home_position[None])
-    return RestStart(robot, settings).state(0.0, rest.unstrained_length[0])
+    return RestStart(robot, settings_for(robot, settings)).state(0.0, rest.unstrained_length[0])
 
 
 def tensions(robot, state, **changes):
@@ -47,7 +47,7 @@ def test_the_mass_is_learned_from_tensions_at_rest():
     """At 5 % more mass the tensions rise by 5 %; the load cells know it to 1 N each."""
     robot = ct.load_robot("carosac")
     state = at_rest(robot)
-    found = measured_tension(robot, state, 1.05 * state.tension, USED)
+    found = measured_tension(robot, state, 1.05 * state.tension, settings_for(robot, USED))
     by_mass = found.by[:, state.errors.mass][:, 0]
     share = found.residual @ by_mass / (by_mass @ by_mass)
     assert share == pytest.approx(0.05, abs=0.005)
@@ -57,8 +57,10 @@ def test_tensions_against_each_other_are_left_out_of_eight_cables():
     robot = ct.load_robot("cogiro")
     state = at_rest(robot)
     inner = np.linalg.svd(state.sway.pulls)[2][6:]  # tensions that balance one another
-    usual = measured_tension(robot, state, state.tension, USED)
-    strained = measured_tension(robot, state, state.tension + 100.0 * inner.sum(axis=0), USED)
+    usual = measured_tension(robot, state, state.tension, settings_for(robot, USED))
+    strained = measured_tension(
+        robot, state, state.tension + 100.0 * inner.sum(axis=0), settings_for(robot, USED)
+    )
     assert usual.residual == pytest.approx(np.zeros(6), abs=1e-9)
     assert strained.residual == pytest.approx(usual.residual, abs=1e-9)
 
