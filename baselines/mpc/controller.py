@@ -17,6 +17,7 @@ from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
 from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
+from baselines.mpc.plan_times import settings_for
 from baselines.mpc.planner import Planner
 from baselines.mpc.premise import broken_premise
 from baselines.mpc.record import MpcRecord
@@ -26,7 +27,7 @@ from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.base.scaled import Scaled, resolved
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -63,12 +64,12 @@ class Mpc:
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
         scales = Scales(robot)
-        settings = resolved(settings, scales.ratios)
+        settings, weight_time = settings_for(robot, settings)
         jerk_max = settings.jerk_max or scales.jerk(settings.period)
         self._robot, self._settings = robot, settings
         self._excess_time = EXCESS_TIME.of(scales.ratios)
         self.period = settings.period
-        self._planner = Planner(robot, settings)
+        self._planner = Planner(robot, settings, weight_time=weight_time)
         self._observer = Observer(robot, settings)
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._targets = TargetReader(robot, self._planner.grid, settings.distribution)

@@ -62,12 +62,15 @@ class Planner:
 
     plan: Plan | None
 
-    def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+    def __init__(
+        self, robot: Robot, settings: MpcSettings, *, weight_time: float | None = None
+    ) -> None:
         """Set up solver and stage function.
 
         Args:
             robot: The nominal robot.
             settings: Grid and weights.
+            weight_time: Unit of time of the weights over that of ``carosac``; None: by the size.
         """
         n, stages, ratios = robot.n, settings.stages, Scales(robot).ratios
         # States are solved for in units of the robot's size, in which tolerances are alike.
@@ -85,7 +88,8 @@ class Planner:
         weights = settings.position_weight, held, settings.velocity_weight, settings.spin_weight
         scale = np.array([1.0, 4.0, 1.0, 1.0]) ** 2  # small Rodrigues parameters: quarter angles
         self._weight = np.repeat(np.array(weights) * scale, 3) * self._state_unit**2
-        self._share = self._duration[:, None] / ratios.time  # of a stage in the cost
+        unit_of_time = ratios.time if weight_time is None else weight_time
+        self._share = self._duration[:, None] / unit_of_time  # of a stage in the cost
         self.reset()
 
     def reset(self) -> None:

@@ -17,11 +17,14 @@ Compiled = Literal["auto", "always", "never"]
 class MpcSettings:
     """Settings of `Mpc`; numbers with a unit are those of ``carosac``, and scale with the robot.
 
-    Weights are per second on ``carosac``; those at the end count once.
+    Weights are per second on ``carosac``; those at the end count once. By default they are larger
+    where a platform turns fast on its cables (`plan_times`).
 
     Attributes:
         period: Time between two commands [s], which is also the first stage.
-        lookahead: How far the plan reaches [s]; longer than it takes to stop the slowest sway.
+        lookahead: How far the plan reaches [s]; longer than it takes to stop the slowest sway. By
+            default shorter where a platform turns so fast on its cables that the stages would be
+            too long to follow that (`plan_times`).
         stages: Stages of the plan; the first lasts one period, the others share the rest.
         position_weight: Of the squared position error [1/m^2].
         velocity_weight: Of the squared velocity error [s^2/m^2].
