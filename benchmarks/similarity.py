@@ -56,6 +56,7 @@ TOLD_OF_SENSORS: Mapping[str, Mapping[str, str]] = {
         "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
         "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2",
         "position_noise": "m", "rotation_noise": "rad",
+        "load_cell_noise": "N", "load_cell_bias": "N",
     },
     "ks_ekf": {
         "length_noise": "m", "length_bias": "m",

@@ -31,7 +31,8 @@ def copy_robots(folder: Path, robots: Sequence[str]) -> list[Path]:
 
 def copy_of(folder: Path, row: Row) -> Path | None:
     """Return the copy of the robot file that a row was run with, or None if there is none."""
-    digest = json.loads(str(row["settings"])).get("robot_digest")
+    settings = row.get("settings")
+    digest = json.loads(settings).get("robot_digest") if isinstance(settings, str) else None
     if not isinstance(digest, str):
         return None
     path = _copy_path(folder, str(row["robot"]), digest)
