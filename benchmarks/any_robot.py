@@ -5,7 +5,7 @@
 
 A robot that cannot rest at home is refused with its reason, and goes no further. The others follow
 a path in the box that their tensions and winches allow, as fast as these allow it, without
-disturbances and with the true state: what is left are the controllers.
+disturbances, with perfect sensors and the true state: what is left are the controllers.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from benchmarks.drawn_robots import drawn_robot
 from benchmarks.results import table, write_section
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.loop import loop, plugins
 from carosac_toolkit.loop.plugin_builder import build_plugin
@@ -115,7 +116,7 @@ def _run(robot: Robot, path: trajectories.Trajectory, name: str) -> dict[str, An
         )  # fmt: skip
         driver = build_plugin(
             plugins.load("drivers", "simulator"), robot, where="driver", seed=1,
-            asked={"period": period, "start_position": start},
+            asked={"period": period, "start_position": start, "sensors": PERFECT_SENSORS},
         )  # fmt: skip
         duration = min(path.duration + 2.0 * scales.time, DURATION * scales.time)
         log = loop.run(driver, Truth(driver), controller, path, duration=duration)
