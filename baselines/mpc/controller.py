@@ -50,7 +50,7 @@ class Mpc:
     the winches taken out. Should a solve fail, the last plan goes on for some steps; then the
     platform is brought to rest near where it is. All that is counted in `record`.
 
-    On a robot whose cables are too soft for such plans (`baselines.mpc.premise`) the commands are
+    On a robot whose cables sag too much for such plans (`baselines.mpc.premise`) the commands are
     those of the kinematic solver, and `remark` says so.
 
     Attributes:
