@@ -9,6 +9,7 @@ mass, length and ``sqrt(length / gravity)`` of the robots (`carosac_toolkit.phys
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -45,31 +46,38 @@ class Scaled(float):
 
     Attributes:
         unit: Such as ``m/s^2`` or ``m/sqrt(s)``.
+        least: What it never falls below, as what sensors resolve does not shrink with a robot.
+        most: What it never exceeds, as what people stand beside does not grow with one.
     """
 
     unit: str
+    least: float
+    most: float
     __array_ufunc__ = None  # numpy leaves it to us, to refuse
 
-    def __new__(cls, value: float, unit: str) -> Scaled:
-        """Take a value on ``carosac`` and its unit."""
+    def __new__(
+        cls, value: float, unit: str, *, least: float = 0.0, most: float = math.inf
+    ) -> Scaled:
+        """Take a value on ``carosac``, its unit and its bounds."""
         exponents(unit)
         number = super().__new__(cls, value)
-        number.unit = unit
+        number.unit, number.least, number.most = unit, least, most
         return number
 
-    def __getnewargs__(self) -> tuple[float, str]:  # type: ignore[override]
+    def __reduce__(self) -> tuple[Any, ...]:
         """Return what copies and other processes make one from."""
-        return float(self), self.unit
+        return _scaled, (type(self), float(self), self.unit, self.least, self.most)
 
     def of(self, ratios: Ratios) -> float:
         """Return the number for a robot."""
-        return float(self) * ratios.of_unit(self.unit)
+        return min(max(float(self) * ratios.of_unit(self.unit), self.least), self.most)
 
     def _refused(self, *_: object) -> NoReturn:
         raise TypeError(f"{float(self)} {self.unit} on carosac: use `of` or `resolved` first")
 
     __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _refused
-    __truediv__ = __rtruediv__ = __pow__ = __rpow__ = __neg__ = __mod__ = _refused
+    __truediv__ = __rtruediv__ = __pow__ = __rpow__ = __neg__ = __mod__ = __rmod__ = _refused
+    __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = __abs__ = __round__ = _refused
 
 
 class Capped(Scaled):
@@ -78,6 +86,11 @@ class Capped(Scaled):
     def of(self, ratios: Ratios) -> float:
         """Return the number for a robot, at most that on ``carosac``."""
         return min(float(self), super().of(ratios))
+
+
+def _scaled(kind: type[Scaled], value: float, unit: str, least: float, most: float) -> Scaled:
+    """Make one again."""
+    return kind(value, unit, least=least, most=most)
 
 
 def exponents(unit: str) -> tuple[float, float, float]:

@@ -244,8 +244,8 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     driver = _driver(options, robot, chosen["driver_settings"], float(controller.period))
     speed, acceleration = default_limits(robot)
     limits = {
-        "speed_max": options.speed or speed,
-        "acceleration_max": options.acceleration or acceleration,
+        "speed_max": speed if options.speed is None else options.speed,
+        "acceleration_max": acceleration if options.acceleration is None else options.acceleration,
     }
     target = HandTarget(robot, robot.home_position, **limits)
     rehearsed = HandTarget(robot, robot.home_position, **limits)

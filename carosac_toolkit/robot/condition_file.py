@@ -101,7 +101,8 @@ def read_condition(text: str, path: str | Path) -> Condition:
             values[name] = _quantity(name, value) if name in UNITS else _share(name, value)
         except InvalidField as error:
             faults.append((document.line((name,)), str(error)))
-    if not faults and values.get("wind_time") == 0.0:
+    time = values.get("wind_time")
+    if not faults and (time.amount if isinstance(time, Part) else time) == 0.0:
         fault = str(InvalidField("wind_time", "0.0 s", "wind_time > 0"))
         faults.append((document.line(("wind_time",)), fault))
     if faults:
@@ -113,9 +114,9 @@ def _share(name: str, value: Any) -> float:
     """Return a standard deviation of a logarithm, from ``3 %``, ``0.03`` or ``factor 1.5``."""
     text = value if isinstance(value, str) else ""
     share, factor = _SHARE.fullmatch(text), _FACTOR.fullmatch(text)
-    if share is not None:
+    if share is not None and math.isfinite(float(share["number"])):
         return 0.01 * float(share["number"])
-    if factor is not None and float(factor["number"]) >= 1.0:
+    if factor is not None and 1.0 <= float(factor["number"]) < math.inf:
         return math.log(float(factor["number"]))
     if isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < math.inf:
         return float(value)
@@ -131,11 +132,14 @@ def _quantity(name: str, value: Any) -> float | Part:
     if part is not None:
         if part["size"] not in sizes:
             raise InvalidField(name, repr(value), f"a part of one of {sizes}")
-        return Part(float(part["number"]) * (0.01 if part["percent"] else 1.0), part["size"])
+        amount = float(part["number"]) * (0.01 if part["percent"] else 1.0)
+        if not math.isfinite(amount):
+            raise InvalidField(name, repr(value), f"{allowed}; finite")
+        return Part(amount, part["size"])
     try:
         number = parse_quantity(value, unit)
     except InvalidQuantity as error:
         raise InvalidField(name, repr(value), f"{allowed}; {error.allowed}") from error
-    if number < 0.0:
+    if not 0.0 <= number < math.inf:
         raise InvalidField(name, f"{value}", f"{allowed}; >= 0")
     return number

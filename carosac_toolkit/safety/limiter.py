@@ -47,6 +47,9 @@ from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
 DELAY_LAGS = 0.2  # delay of the encoders in lags of a winch: 10 ms for 50 ms
 
 
+PLANT_LAG_SHARE = 0.5  # of the lag of a plant, by which its nominal robot may be quicker
+
+
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
     """Limits that are not in the robot file.
@@ -93,13 +96,16 @@ class LimitSettings:
         """Return the largest change of acceleration for a robot [m/s^3]."""
         return Scales(robot).jerk(period) if self.jerk_max is None else self.jerk_max
 
-    def jump_of(self, robot: Robot, period: float) -> float:
-        """Return the largest distance from the measured length for a robot [m]."""
+    def jump_of(self, robot: Robot, period: float, *, share: float = 1.0) -> float:
+        """Return the largest distance from the measured length for a robot [m].
+
+        One that was chosen has to exceed a share of what its winches lag behind.
+        """
         scales = Scales(robot)
         if self.jump_max is None:
             delay = np.maximum(DELAY_LAGS * robot.winch_lag, 2.0 * period - robot.winch_lag)
             return 2.0 * scales.reach(delay)
-        behind = scales.reach(0.0)
+        behind = share * scales.reach(0.0)
         if self.jump_max <= behind:
             allowed = f"more than {behind:g} m, the lag of its winches at full speed"
             raise InvalidField("jump_max", f"{self.jump_max} m for robot {robot.name!r}", allowed)
@@ -140,7 +146,8 @@ class Limiter:
             raise InvalidField("period", f"{period} s", "period > 0, finite")
         settings = settings or LimitSettings()
         self.jerk_max = settings.jerk_of(robot, period)
-        self.jump_max = settings.jump_of(robot, period)
+        # A plant drawn at random has another lag than the robot that its settings were made for.
+        self.jump_max = settings.jump_of(robot, period, share=PLANT_LAG_SHARE)
         self.box = settings.box
         if Slack.of(robot, self.jerk_max, period).jerk > 0.01 * self.jerk_max:
             raise InvalidField(

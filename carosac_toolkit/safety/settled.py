@@ -27,8 +27,10 @@ def settled(settings: T, robot: Robot) -> T:
     known: Any = resolved(settings, Scales(robot).ratios)
     limits = getattr(known, "limits", None)
     if isinstance(limits, LimitSettings):
-        known = replace(known, limits=limits.of(robot, period=known.period))
+        chosen = limits.jump_max is not None and hasattr(known, "slowed")
+        winds = known.slowed(robot) if chosen else robot  # as fast as it may, for what was chosen
+        known = replace(known, limits=limits.of(winds, period=known.period))
     if hasattr(known, "derived"):
         known = known.derived(robot)
-    chosen: T = known
-    return chosen
+    found: T = known
+    return found

@@ -62,14 +62,20 @@ def test_on_carosac_a_default_is_what_it_says():
 @pytest.mark.parametrize(
     "calculate",
     [lambda x: x + 1.0, lambda x: 2.0 * x, lambda x: 1.0 / x, lambda x: np.ones(3) * x,
-     lambda x: x - np.float64(1.0), lambda x: np.float64(1.0) - x, lambda x: -x, lambda x: x**2],
+     lambda x: x - np.float64(1.0), lambda x: np.float64(1.0) - x, lambda x: -x, lambda x: x**2, abs, round,
+     lambda x: x // 1.0, lambda x: 3.0 % x],
 )  # fmt: skip
 def test_none_is_calculated_with_before_it_belongs_to_a_robot(calculate):
     with pytest.raises(TypeError, match="on carosac"):
         calculate(Scaled(0.3, "m"))
 
 
-def test_copies_keep_the_unit():
-    number = Scaled(0.3, "m/s^3")
+def test_copies_keep_unit_and_bounds():
+    number = Scaled(0.3, "m/s^3", least=0.1, most=0.5)
     for other in (copy.deepcopy(number), pickle.loads(pickle.dumps(number))):
-        assert (other, other.unit) == (0.3, "m/s^3")
+        assert (other, other.unit, other.least, other.most) == (0.3, "m/s^3", 0.1, 0.5)
+
+
+def test_bounds_hold_at_any_size():
+    number = Scaled(0.3, "m", least=0.1, most=0.5)
+    assert [number.of(Ratios(1.0, k, 1.0)) for k in (0.1, 1.0, 10.0)] == [0.1, 0.3, 0.5]

@@ -433,7 +433,15 @@ def test_winches_without_lag_may_be_two_periods_behind():
 def test_a_jump_limit_within_the_lag_of_the_winches_is_refused():
     message = r"jump_max: got 0.12 m for robot .* allowed: more than 0.125 m, the lag of its winc"
     with pytest.raises(InvalidField, match=message):
-        Limiter(ROBOT, LimitSettings(jump_max=0.12), period=0.01)
+        LimitSettings(jump_max=0.12).of(ROBOT, period=0.01)
+    with pytest.raises(InvalidField, match="jump_max: got 0.06 m"):
+        Limiter(ROBOT, LimitSettings(jump_max=0.06), period=0.01)
+
+
+def test_a_plant_of_slower_winches_takes_limits_that_its_nominal_robot_took():
+    limits = LimitSettings(jump_max=0.13).of(ROBOT, period=0.01)
+    slower = replace(ROBOT, winch_lag=1.5 * ROBOT.winch_lag)
+    assert Limiter(slower, limits, period=0.01).jump_max == 0.13
 
 
 def test_settled_limits_are_those_of_the_nominal_robot():

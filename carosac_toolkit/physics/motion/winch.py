@@ -67,7 +67,8 @@ def inner_steps(robot: Robot) -> Array:
     They resolve the lag: a share of the mean lag, so that plants whose lags were drawn at random
     have steps that differ less than their lags, and less where a winch is much quicker.
     """
-    ratios, lag = Scales(robot).ratios, robot.winch_lag
+    ratios = Scales(robot).ratios
+    lag = np.where(robot.winch_lag < STEP_MIN.of(ratios), 0.0, robot.winch_lag)
     if not lag.any():
         return np.full(robot.n, STEP_WITHOUT_LAG.of(ratios))
     step = np.full(robot.n, lag[lag > 0.0].mean() / STEPS_PER_LAG)

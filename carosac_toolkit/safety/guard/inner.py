@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import plugins
@@ -23,6 +25,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.checks import Finding
 from carosac_toolkit.safety.guard.lifecycle import NotReady
 from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.limiter import LimitSettings
 
 SHARED_SETTINGS = ("motion", "period", "suite", "limits")  # of the guard, and of drivers with them
 START_SETTING = "start_position"  # of a simulated robot; a real one starts where it is
@@ -56,6 +59,7 @@ def build_inner(
         raise InvalidField("driver", repr(settings.driver), "a driver that moves, and no guard")
     real_time = settings.real_time is not False
     offered = {name: getattr(settings, name) for name in SHARED_SETTINGS} | dict(settings.scene)
+    offered["limits"] = _own_limits(plugin, settings.limits)
     if "real_time" in setting_names(plugin):
         real_time = bool(settings.real_time)
         offered |= {"real_time": real_time, START_SETTING: settings.start_position}
@@ -63,6 +67,16 @@ def build_inner(
         plugin, robot, where="inner", asked=settings.inner, offered=offered, seed=seed
     )
     return inner, real_time
+
+
+def _own_limits(plugin: Any, limits: LimitSettings) -> Any:
+    """Return the limits of a driver by default, with those of the guard where it has no numbers."""
+    usual = getattr(plugin.Settings(), "limits", None) if hasattr(plugin, "Settings") else None
+    if not isinstance(usual, LimitSettings):
+        return usual
+    jerk_max = limits.jerk_max if usual.jerk_max is None else usual.jerk_max
+    jump_max = limits.jump_max if usual.jump_max is None else usual.jump_max
+    return replace(usual, jerk_max=jerk_max, jump_max=jump_max)
 
 
 def link_patience(inner: Driver) -> float:

@@ -120,21 +120,21 @@ class GuardSettings:
     senses: SenseErrors = field(default_factory=SenseErrors)
     real_time: bool | None = None
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
-    first_max: float = Scaled(0.1, "m")
+    first_max: float = Scaled(0.1, "m", least=0.03, most=0.1)
     step_max: float | None = None
     speed_max: float | None = None
-    range_margin: float = Scaled(0.05, "m")
-    jump_max: float = Scaled(0.03, "m")
-    following_max: float = Scaled(0.06, "m")
+    range_margin: float = Scaled(0.05, "m", least=0.01, most=0.05)
+    jump_max: float = Scaled(0.03, "m", least=0.01, most=0.03)
+    following_max: float = Scaled(0.06, "m", least=0.02, most=0.06)
     direction_max: float = 0.004
     tension_shift_max: float | None = None
-    first_way: float = Scaled(0.1, "m")
+    first_way: float = Scaled(0.1, "m", least=0.01)
     first_speed: float = Capped(0.075, "m/s")
     first_shift_max: float | None = 0.15
-    closure_max: float = Scaled(0.03, "m")
-    belief_max: float = Scaled(0.7, "m")
-    workspace_margin: float = Scaled(0.3, "m")
-    home_change_max: float = Scaled(0.1, "m")
+    closure_max: float = Scaled(0.03, "m", least=0.01)
+    belief_max: float = Scaled(0.7, "m", least=0.05)
+    workspace_margin: float = Scaled(0.3, "m", least=0.03, most=0.3)
+    home_change_max: float = Scaled(0.1, "m", least=0.03, most=0.1)
     stale_time: float | None = None
     hang_time: float = 0.25
     overrun_share: float = 0.5

@@ -189,17 +189,12 @@ class Study:
         self.check()
         folder = self.folder()
         judged = self.feasibility
-        try:
-            rows = run_cases(
-                self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
-                workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
-                batching=self._batching(),
-                progress=progress,
-            )  # fmt: skip
-        except KeyboardInterrupt:  # what is finished can be viewed
-            copy_robots(folder, self.robots)
-            raise
-        copy_robots(folder, self.robots)
+        rows = run_cases(
+            self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
+            workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
+            batching=self._batching(), progress=progress,
+            begun=lambda: copy_robots(folder, self.robots),
+        )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
 
     def _batching(self) -> Batching | None:

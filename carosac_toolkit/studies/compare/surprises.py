@@ -109,11 +109,11 @@ def _tensions(results: StudyResults) -> Iterator[str]:
         )
     ]
     if slack:
-        low = max(line["tension_limit_low_N"] or 0.0 for line in results.summary)
+        low = _limits(results, "tension_limit_low_N", "slack_share")
         held = any((x["limited_share"] or 0.0) > LIMITED_SHARE_MIN for x in results.summary)
         first = "see to the limited commands first, then " if held else ""
         yield (
-            f"Cables went slack, below tension_min ({low:g} N): {'; '.join(slack)}. A slack cable "
+            f"Cables went slack, below tension_min ({low} N): {'; '.join(slack)}. A slack cable "
             f"does not guide the platform: {first}go slower, or keep farther from the edge of the "
             "workspace."
         )
@@ -125,8 +125,18 @@ def _tensions(results: StudyResults) -> Iterator[str]:
         )
     ]
     if over:
-        high = min(line["tension_limit_high_N"] or 0.0 for line in results.summary)
-        yield f"Cables were overloaded, above tension_max ({high:g} N): {'; '.join(over)}."
+        high = _limits(results, "tension_limit_high_N", "overload_share")
+        yield f"Cables were overloaded, above tension_max ({high} N): {'; '.join(over)}."
+
+
+def _limits(results: StudyResults, name: str, share: str) -> str:
+    """Return the tension limits of the robots that are told of [N]."""
+    known = {
+        f"{line[name]:g}"
+        for line in results.summary
+        if line[name] is not None and (line[share] or 0.0) > SLACK_SHARE_MIN
+    }
+    return " or ".join(sorted(known, key=float))
 
 
 def _outside(results: StudyResults) -> Iterator[str]:

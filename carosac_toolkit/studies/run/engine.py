@@ -42,6 +42,7 @@ def run_cases(
     batching: Batching | None = None,
     own_files: bool = False,
     share: Callable[[], float] | None = None,
+    begun: Callable[[], object] | None = None,
     progress: bool = True,
 ) -> list[Row]:
     """Run each case once and return one row per case, in the order of the cases.
@@ -74,6 +75,7 @@ def run_cases(
             files of its own. Workers of a scheduler must see the same folder then.
         share: Tells how much of the work is done, 0 to 1, where cases are few and long; without
             it the finished cases tell.
+        begun: Called once the folder is ours, before any case runs.
         progress: True to report progress on standard error.
 
     Raises:
@@ -94,6 +96,8 @@ def run_cases(
         store.merge()
         store.forget(retry)
         store.forget_cases(again)
+        if begun is not None:
+            begun()
         done = store.finished()
         bar = Progress(len(cases), done.values(), quiet=not progress, share=share)
         todo = [

@@ -298,3 +298,11 @@ def test_winches_of_a_scaled_robot_answer_alike(factor, lag):
 
     other = motion(similar_robot(base, factor), scale.length, scale.time)
     assert other == pytest.approx(motion(base, 1.0, 1.0), abs=1e-9)
+
+
+def test_a_lag_that_is_next_to_none_takes_no_more_steps_than_none():
+    robot = simple_robot()
+    for lag in (1e-12, 1e-9, 1e-6):
+        tiny = replace(robot, winch_lag=np.full(robot.n, lag))
+        none = replace(robot, winch_lag=np.zeros(robot.n))
+        assert inner_steps(tiny) == pytest.approx(inner_steps(none))
