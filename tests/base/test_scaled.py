@@ -62,8 +62,8 @@ def test_on_carosac_a_default_is_what_it_says():
 @pytest.mark.parametrize(
     "calculate",
     [lambda x: x + 1.0, lambda x: 2.0 * x, lambda x: 1.0 / x, lambda x: np.ones(3) * x,
-     lambda x: x - np.float64(1.0), lambda x: np.float64(1.0) - x, lambda x: -x, lambda x: x**2, abs, round,
-     lambda x: x // 1.0, lambda x: 3.0 % x],
+     lambda x: x - np.float64(1.0), lambda x: np.float64(1.0) - x, lambda x: -x, lambda x: x**2,
+     lambda x: x // 1.0, lambda x: 3.0 % x, abs, round],
 )  # fmt: skip
 def test_none_is_calculated_with_before_it_belongs_to_a_robot(calculate):
     with pytest.raises(TypeError, match="on carosac"):

@@ -434,7 +434,7 @@ def test_a_jump_limit_within_the_lag_of_the_winches_is_refused():
     message = r"jump_max: got 0.12 m for robot .* allowed: more than 0.125 m, the lag of its winc"
     with pytest.raises(InvalidField, match=message):
         LimitSettings(jump_max=0.12).of(ROBOT, period=0.01)
-    with pytest.raises(InvalidField, match="jump_max: got 0.06 m"):
+    with pytest.raises(InvalidField, match=r"jump_max: got 0\.06 m"):
         Limiter(ROBOT, LimitSettings(jump_max=0.06), period=0.01)
 
 
