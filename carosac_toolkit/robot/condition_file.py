@@ -88,7 +88,7 @@ def read_condition(text: str, path: str | Path) -> Condition:
     data = document.data if isinstance(document.data, dict) else {}
     if not faults and data.get("schema") != CONDITION_SCHEMA:
         found = InvalidField("schema", repr(data.get("schema")), CONDITION_SCHEMA)
-        faults.append((document.line(("schema",)), str(found)))
+        raise InvalidFile(path, [f"line {document.line(('schema',))}: {found}"])
     known = [item.name for item in fields(Condition)]
     values: dict[str, Any] = {}
     for name, value in data.items():
