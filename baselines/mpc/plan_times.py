@@ -22,7 +22,7 @@ from carosac_toolkit.robot.robot import Robot
 
 STAGE_ANGLE_MAX_RAD = 1.5  # of the fastest motion in a stage: half of what is stable
 FASTEST = Scaled(11.3, "rad/s")  # motion for which weights are right by the size alone
-WEIGHTS = ("position_weight", "velocity_weight", "spin_weight")
+WEIGHTS = ("position_weight", "velocity_weight")  # that of spin damps sway, and stays
 
 
 def settings_for(robot: Robot, settings: MpcSettings) -> tuple[MpcSettings, float]:
