@@ -86,7 +86,7 @@ def _constants(path: Path) -> list[str]:
         if isinstance(node, ast.AnnAssign):
             target = node.target
         scales = isinstance(getattr(node, "value", None), ast.Call) and (
-            getattr(node.value.func, "id", "") in (Scaled.__name__, "Capped")
+            getattr(node.value.func, "id", "") == Scaled.__name__
         )
         if isinstance(target, ast.Name) and UNIT.search(target.id) and not scales:
             names.append(target.id)

@@ -124,7 +124,7 @@ class DynamicModel:
         pose = change[:, where.sway] @ sway.ways.T + change[:, where.bias] @ sway.slaved.T
         start = Motions(
             position=state.position + pose[:, :3],
-            rotation=_turns(pose[:, 3:]) @ state.rotation,
+            rotation=turns(pose[:, 3:]) @ state.rotation,
             twist=state.twist + change[:, where.speed] @ sway.ways.T,
             force=np.hstack([state.wind + change[:, where.wind], np.zeros((size, 1))]),
             exit_tension=np.tile(state.exit_tension, (size, 1, 1)),
@@ -187,7 +187,7 @@ def _small_turns(rotation: Array) -> Array:
     )
 
 
-def _turns(vectors: Array) -> Array:
+def turns(vectors: Array) -> Array:
     """Return the rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
     from scipy.spatial.transform import Rotation
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.dynamic_estimator.model import turns
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
@@ -57,7 +58,7 @@ def _changes(robot: Robot, state: DynamicFilterState) -> Array:
     tensions = rigid_tensions(
         robot,
         position=state.position + pose[:, :3],
-        rotation=_turns(pose[:, 3:]) @ state.rotation,
+        rotation=turns(pose[:, 3:]) @ state.rotation,
         twist=state.twist + change[:, where.speed] @ state.sway.ways.T,
         wind=state.wind + change[:, where.wind],
         mass=robot.mass * np.exp(state.log_mass + change[:, where.mass.start]),
@@ -103,7 +104,7 @@ def rigid_tensions(
     columns = structure_matrix(robot, position, rotation)
     instant = TURN_STEP.of(Scales(robot).ratios)
     later = structure_matrix(
-        robot, position + instant * twist[:, :3], _turns(instant * spin) @ rotation
+        robot, position + instant * twist[:, :3], turns(instant * spin) @ rotation
     )
     turning = np.einsum("bij,bi->bj", (later - columns) / instant, twist)
     light = np.linalg.solve(matrix, columns)  # M^-1 A
@@ -119,10 +120,3 @@ def _crosses(vectors: Array) -> Array:
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _turns(vectors: Array) -> Array:
-    """Return the rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())

@@ -66,7 +66,7 @@ class Scaled(float):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what copies and other processes make one from."""
-        return _scaled, (type(self), float(self), self.unit, self.least, self.most)
+        return _scaled, (float(self), self.unit, self.least, self.most)
 
     def of(self, ratios: Ratios) -> float:
         """Return the number for a robot."""
@@ -80,17 +80,9 @@ class Scaled(float):
     __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = __abs__ = __round__ = _refused
 
 
-class Capped(Scaled):
-    """A default that shrinks with a robot and never grows: a speed near people, for instance."""
-
-    def of(self, ratios: Ratios) -> float:
-        """Return the number for a robot, at most that on ``carosac``."""
-        return min(float(self), super().of(ratios))
-
-
-def _scaled(kind: type[Scaled], value: float, unit: str, least: float, most: float) -> Scaled:
+def _scaled(value: float, unit: str, least: float, most: float) -> Scaled:
     """Make one again."""
-    return kind(value, unit, least=least, most=most)
+    return Scaled(value, unit, least=least, most=most)
 
 
 def exponents(unit: str) -> tuple[float, float, float]:

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.scaled import Ratios
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.robot.sizes import cable_size
+from carosac_toolkit.robot.sizes import CAROSAC_SIZES, cable_size, time_scale
 
 # Of the robot `carosac`, on which defaults are stated (`carosac_toolkit.base.scaled.Scaled`).
-CAROSAC_CABLE_M = 9.141812876044355
+CAROSAC_CABLE_M = CAROSAC_SIZES["cable"]
 CAROSAC_MASS_KG = 23.655
 CAROSAC_WORKSPACE_M = 3.9999999999999996
 CAROSAC_GRAVITY_M_PER_S2 = 9.81
@@ -42,17 +42,12 @@ class Scales:
     @property
     def time(self) -> float:
         """Time in which a body falls by half of `length` [s]; a sway takes 2 pi of it and less."""
-        return float(np.sqrt(self.length / self.robot.gravity))
+        return time_scale(self.robot)
 
     @property
     def tension(self) -> float:
         """Weight of the platform per cable [N]."""
         return self.robot.weight / self.robot.n
-
-    @property
-    def gyration(self) -> float:
-        """Radius of gyration of the platform about its centre of mass [m]."""
-        return float(np.sqrt(np.trace(self.robot.inertia) / (2.0 * self.robot.mass)))
 
     @property
     def workspace(self) -> float:

@@ -45,8 +45,6 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
 
 DELAY_LAGS = 0.2  # delay of the encoders in lags of a winch: 10 ms for 50 ms
-
-
 PLANT_LAG_SHARE = 0.5  # of the lag of a plant, by which its nominal robot may be quicker
 
 
@@ -107,7 +105,8 @@ class LimitSettings:
             return 2.0 * scales.reach(delay)
         behind = share * scales.reach(0.0)
         if self.jump_max <= behind:
-            allowed = f"more than {behind:g} m, the lag of its winches at full speed"
+            part = "" if share == 1.0 else f"{share:.0%} of "
+            allowed = f"more than {behind:g} m, {part}the lag of its winches at full speed"
             raise InvalidField("jump_max", f"{self.jump_max} m for robot {robot.name!r}", allowed)
         return self.jump_max
 

@@ -24,7 +24,7 @@ def test_sizes_of_a_similar_robot_are_similar(name, factor):
     robot = ct.load_robot(name)
     old, new, by = Scales(robot), Scales(similar_robot(robot, factor)), similarity(factor)
     for size, unit in (
-        ("length", "m"), ("time", "s"), ("tension", "N"), ("gyration", "m"), ("workspace", "m"),
+        ("length", "m"), ("time", "s"), ("tension", "N"), ("workspace", "m"),
     ):  # fmt: skip
         assert getattr(new, size) == pytest.approx(getattr(old, size) * by.of_unit(unit)), size
     assert new.reach(0.01 * by.time) == pytest.approx(old.reach(0.01) * factor)

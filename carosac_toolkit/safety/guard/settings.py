@@ -11,7 +11,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
-from carosac_toolkit.base.scaled import Capped, Scaled
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.home_check import SenseErrors
 from carosac_toolkit.safety.limiter import LimitSettings
@@ -129,7 +129,7 @@ class GuardSettings:
     direction_max: float = 0.004
     tension_shift_max: float | None = None
     first_way: float = Scaled(0.1, "m", least=0.01)
-    first_speed: float = Capped(0.075, "m/s")
+    first_speed: float = Scaled(0.075, "m/s", most=0.075)
     first_shift_max: float | None = 0.15
     closure_max: float = Scaled(0.03, "m", least=0.01)
     belief_max: float = Scaled(0.7, "m", least=0.05)

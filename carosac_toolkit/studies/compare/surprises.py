@@ -102,12 +102,10 @@ def _limited(results: StudyResults) -> Iterator[str]:
 
 def _tensions(results: StudyResults) -> Iterator[str]:
     """Tell whose tensions left their limits."""
-    slack = [
-        f"{label} {percent(line['slack_share'])} of the time, down to {line['tension_min_N']:.2g} N"
-        for label, line in _lines(
-            results, lambda line: (line["slack_share"] or 0.0) > SLACK_SHARE_MIN
-        )
-    ]
+    slack = _times(
+        results, "slack_share", SLACK_SHARE_MIN,
+        lambda line: f", down to {line['tension_min_N']:.2g} N",
+    )  # fmt: skip
     if slack:
         low = _limits(results, "tension_limit_low_N", "slack_share")
         held = any((x["limited_share"] or 0.0) > LIMITED_SHARE_MIN for x in results.summary)
@@ -117,16 +115,24 @@ def _tensions(results: StudyResults) -> Iterator[str]:
             f"does not guide the platform: {first}go slower, or keep farther from the edge of the "
             "workspace."
         )
-    over = [
-        f"{label} {percent(line['overload_share'])} of the time, up to "
-        f"{line['tension_max_N']:.4g} N"
-        for label, line in _lines(
-            results, lambda line: (line["overload_share"] or 0.0) > SLACK_SHARE_MIN
-        )
-    ]
+    over = _times(
+        results, "overload_share", SLACK_SHARE_MIN,
+        lambda line: f", up to {line['tension_max_N']:.4g} N",
+    )  # fmt: skip
     if over:
         high = _limits(results, "tension_limit_high_N", "overload_share")
         yield f"Cables were overloaded, above tension_max ({high} N): {'; '.join(over)}."
+
+
+def _times(
+    results: StudyResults, share: str, least: float,
+    ending: Callable[[dict[str, Any]], str] = lambda line: "",
+) -> list[str]:  # fmt: skip
+    """Tell for which part of the time each group was in a state, where it is more than `least`."""
+    return [
+        f"{label} {percent(line[share])} of the time{ending(line)}"
+        for label, line in _lines(results, lambda line: (line[share] or 0.0) > least)
+    ]
 
 
 def _limits(results: StudyResults, name: str, share: str) -> str:
@@ -141,12 +147,7 @@ def _limits(results: StudyResults, name: str, share: str) -> str:
 
 def _outside(results: StudyResults) -> Iterator[str]:
     """Tell who left the workspace box."""
-    out = [
-        f"{label} {percent(line['outside_share'])} of the time"
-        for label, line in _lines(
-            results, lambda line: (line["outside_share"] or 0.0) > LIMITED_SHARE_MIN
-        )
-    ]
+    out = _times(results, "outside_share", LIMITED_SHARE_MIN)
     if out:
         yield f"The platform was outside the workspace box: {'; '.join(out)}."
 
