@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars learning docs docs-commands clean
+.PHONY: help setup demo test lint bench bars learning docs docs-commands linkcheck clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -91,8 +91,12 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
-	@echo "Open docs/_build/index.html"
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python docs/links.py docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+linkcheck: $(STAMP)  ## try every external link of the documentation, over the network
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
 
 docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings
 	$(BIN)/python docs/commands.py --jobs $(JOBS)
