@@ -18,6 +18,9 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"CaRoSaC Toolkit {release}"
 
+linkcheck_timeout = 30
+linkcheck_anchors_ignore_for_url = [r"https://github\.com/"]  # drawn by scripts
+
 myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
