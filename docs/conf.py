@@ -16,6 +16,8 @@ release = version = __version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
 html_title = f"CaRoSaC Toolkit {release}"
 
 linkcheck_timeout = 30
@@ -28,7 +30,6 @@ nb_execution_mode = "cache"  # filled by `notebooks.make`
 nb_execution_cache_path = str(notebooks.CACHE)
 nb_execution_raise_on_error = True
 nb_execution_timeout = notebooks.CELL_TIME_MAX_S
-nb_merge_streams = True
 nb_output_stderr = "remove"  # of Warp, which says what it compiles
 
 default_role = "code"  # single backticks in docstrings are code

@@ -23,6 +23,7 @@ from markdown_it.token import Token
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 GENERATED = {DOCS / "gallery.md"}  # made when the documentation is built
+LINK = re.compile(r"\[[^\]]*\]\([^)]*\)")
 SEARCHED = {  # words, and a page that a search for each must find
     "catenary": "statics", "encoder": "drivers", "policy": "learned-control", "sway": "mpc",
     "tachymeter": "calibration-tachymeter", "TwinCAT": "plc", "winch": "robot-yaml",
@@ -79,6 +80,12 @@ def anchors(page: Path) -> frozenset[str]:
         elif token.type == "html_block":
             names |= set(re.findall(r"""\bid=["']([^"']+)["']""", token.content))
     return frozenset(names)
+
+
+def hidden(page: Path) -> list[str]:
+    """Return the links of a page that a line of HTML before them keeps from being links."""
+    html = "".join(token.content for token in parse(page) if token.type == "html_block")
+    return [f"{link}: follows HTML at the start of its line" for link in LINK.findall(html)]
 
 
 def broken(page: Path) -> list[str]:

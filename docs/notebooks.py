@@ -59,8 +59,8 @@ def execute(path: Path) -> Any:
             kernel_spec_manager=kernels, transport="ipc", ip=f"{sockets}/kernel"
         )
         client = NotebookClient(
-            notebook, km=manager, timeout=CELL_TIME_MAX_S, record_timing=False, log=LOGGER,
-            resources={"metadata": {"path": folder}},
+            notebook, km=manager, timeout=CELL_TIME_MAX_S, log=LOGGER,
+            record_timing=False, coalesce_streams=True, resources={"metadata": {"path": folder}},
         )  # fmt: skip
         try:
             client.execute(env=kernel_environment(os.environ), cleanup_kc=True)

@@ -68,6 +68,19 @@ def test_a_link_that_leads_somewhere_is_no_fault(tmp_path, text):
     assert links.broken(page) == []
 
 
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_no_comment_at_the_start_of_a_line_hides_links(page):
+    assert links.hidden(page) == []
+
+
+def test_a_link_behind_a_comment_at_the_start_of_a_line_is_noticed(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "Takes 3 ms\n<!-- figure: x --> for [a](page.md).\nIt takes 3<!-- y --> [b](c)."
+    )
+    assert links.hidden(page) == ["[a](page.md): follows HTML at the start of its line"]
+
+
 def test_a_broken_link_of_a_notebook_is_noticed(tmp_path):
     cells = [
         {"cell_type": "markdown", "source": ["# Text\n", "[a](gone.md)"]},
@@ -120,7 +133,7 @@ def test_the_site_check_ends_with_status_1_for_a_fault(tmp_path, monkeypatch, ca
 
 
 def test_the_start_page_is_a_table_of_tasks_that_lead_to_pages():
-    assert "| I want to | read |" in START
+    assert "| I want to | Read |" in START
     rows = TASK_ROW.findall(START)
     assert len(rows) >= 12
     assert [task for task, targets in rows if "](" not in targets] == []

@@ -16,7 +16,7 @@ from benchmarks.figures import CATALOGUE, MARKER, PAGES, PROSE_NUMBER, RESULTS, 
 # Headers of tables whose numbers are settings, formats, codes, methods or bounds: nobody measured
 # them. A table with numbers is either one of these, or its numbers have figures or sources.
 NOT_MEASURED = {
-    "| I want to | read |",
+    "| I want to | Read |",
     "| Term | In code | Meaning, unit, frame |",
     "| `cables` | what | use it for |",
     "| `distribution` | tensions | for |",
@@ -27,7 +27,7 @@ NOT_MEASURED = {
     "| exit status | meaning |",
     "| file | limit |",
     "| line | what happens |",
-    "| if you need | use | because this toolkit |",
+    "| If you need | Use | Because this toolkit |",
     "| name | cables | robot |",
     "| number | fault | |",
     "| number | state | |",
