@@ -38,14 +38,19 @@ def pages() -> list[Path]:
     return sorted(p for p in found if DOCS / "_build" not in p.parents and p not in GENERATED)
 
 
+def markdown(page: Path) -> str:
+    """Return the text of a Markdown page, or of the Markdown cells of a notebook."""
+    text = page.read_text(encoding="utf-8")
+    if page.suffix != ".ipynb":
+        return text
+    cells = json.loads(text)["cells"]
+    return "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+
+
 @cache
 def parse(page: Path) -> list[Token]:
-    """Return the tokens of a Markdown page, or of the text of a notebook."""
-    text = page.read_text(encoding="utf-8")
-    if page.suffix == ".ipynb":
-        cells = json.loads(text)["cells"]
-        text = "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
-    return MarkdownIt("commonmark").enable("table").parse(text)
+    """Return the tokens of a page."""
+    return MarkdownIt("commonmark").enable("table").parse(markdown(page))
 
 
 def inline(tokens: list[Token]) -> Iterator[Token]:

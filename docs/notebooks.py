@@ -85,8 +85,8 @@ def make() -> None:
     CACHE.parent.mkdir(exist_ok=True)
     cache = get_cache(CACHE)
     for path in NOTEBOOKS:
-        drawn = Path(os.environ.get("CAROSAC_ARTIFACTS", HERE)) / path.name
-        executed = nbformat.read(drawn, as_version=4) if drawn.exists() else None
+        left = Path(os.environ.get("CAROSAC_ARTIFACTS", HERE)) / path.name
+        executed = nbformat.read(left, as_version=4) if left.exists() else None
         if executed is None or codes(executed) != codes(nbformat.read(path, as_version=4)):
             if is_cached(cache, path):
                 continue
