@@ -14,7 +14,7 @@ from baselines.kinematic_solver_controller import (
 )
 from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.fallback import RestFallback
-from baselines.mpc.geometry import Geometry, excess_at, geometry_at
+from baselines.mpc.geometry import Geometry, excess_at, excess_under, geometry_at
 from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.plan_times import settings_for
@@ -22,6 +22,7 @@ from baselines.mpc.planner import Planner
 from baselines.mpc.premise import broken_premise
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
+from baselines.mpc.soft_start import SoftStart
 from baselines.mpc.target_reader import TargetReader
 from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
@@ -73,6 +74,7 @@ class Mpc:
         self._observer = Observer(robot, settings)
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._targets = TargetReader(robot, self._planner.grid, settings.distribution)
+        self._soft_start = SoftStart(self._planner.grid, scales.ratios)
         self._rest = RestFallback(robot)
         self._agreement = BeliefGate(settings.period, scales.ratios)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
@@ -114,6 +116,7 @@ class Mpc:
         self._planner.reset()
         self._observer.reset()
         self._targets.reset()
+        self._soft_start.reset()
         self._rest.reset()
         self._agreement.reset()
         self._failed = 0
@@ -128,6 +131,10 @@ class Mpc:
             )
         self._excess = np.zeros(self._robot.n)
         self._update_excess(position, rotation, self._targets.at(position), share=1.0)
+        if belief.tension is not None:
+            # With more cables than six, other tensions than those of rest are at other lengths.
+            excess = excess_under(self._robot, position, rotation, belief.tension[0], geometry)
+            self._excess = np.where(np.isfinite(excess), excess, self._excess)
         self._winches.reset(geometry.length + self._excess)
         self._ready = True
 
@@ -175,7 +182,9 @@ class Mpc:
             self._fail("belief", f"{start.distance:.3g} m from the lengths that were sent")
             return None
         began = time.perf_counter()
-        wanted = self._targets.read(reference)
+        wanted = self._soft_start.faded(
+            self._targets.read(reference), start.position, start.rotation, time=now
+        )
         target = self._targets.nearer(wanted, start.position)
         self.record.approached += target is not wanted
         improved = self._planner.improve(
