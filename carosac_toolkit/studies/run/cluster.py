@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import missing_extras, require
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 CONNECT_TIMEOUT_S = 20.0  # [s]
+PARALLEL_EXTRA = "parallel"
 SINGLE_THREAD_ENVIRONMENT = {
     name: "1"
     for name in (
@@ -50,6 +52,31 @@ def usable_cores() -> int:
     from dask.system import CPU_COUNT
 
     return int(CPU_COUNT)
+
+
+def has_parallel_packages() -> bool:
+    """Return whether the packages of worker processes are installed."""
+    return not missing_extras([PARALLEL_EXTRA])
+
+
+def require_parallel_packages(user: str) -> None:
+    """Refuse worker processes without their packages.
+
+    Args:
+        user: What needs them, for the message.
+
+    Raises:
+        MissingExtra: They are not installed.
+    """
+    require(user, "cryptography", "distributed")
+
+
+def default_workers() -> int:
+    """Return the number of worker processes where the user chose none.
+
+    One per usable core, or 0 without the packages of worker processes: this process does it all.
+    """
+    return usable_cores() if has_parallel_packages() else 0
 
 
 @contextmanager
@@ -99,7 +126,9 @@ def remote_client(address: str) -> Iterator[Any]:
     Raises:
         InvalidField: No scheduler answers there.
         CarosacError: It has no workers.
+        MissingExtra: The packages of worker processes are not installed.
     """
+    require_parallel_packages("a dask scheduler")
     from distributed import Client
 
     allowed = "address of a running dask scheduler, such as 'tcp://host:8786'"
