@@ -28,21 +28,24 @@ class MissingExtra(CarosacError, ImportError):
     """
 
     def __init__(
-        self, user: str, packages: Sequence[str], extras: Sequence[str], distribution: str
+        self, user: str, modules: Sequence[str], extras: Sequence[str], distribution: str
     ) -> None:
-        names = " and ".join(extras)
-        of_extra = f"the extra{'s' if len(extras) > 1 else ''} {names}" if extras else "a package"
-        super().__init__(
-            f"{user} needs {of_extra} (not installed: {', '.join(packages)}): "
-            f"{install_command(extras, distribution)}"
-        )
+        names = f"the extra{'s' if len(extras) > 1 else ''} {' and '.join(extras)}"
+        names = names if extras else "more packages"  # run from sources, without metadata
+        lacking = f" (not installed: {', '.join(modules)})" if modules else ""
+        command = install_command(extras, distribution)
+        super().__init__(f"{user} needs {names}{lacking}: {command}")
         self.extras = tuple(extras)
+
+
+def with_extras(extras: Sequence[str], distribution: str = DISTRIBUTION) -> str:
+    """Return a distribution with some extras as installers write it: ``name[one,two]``."""
+    return f"{distribution}[{','.join(extras)}]" if extras else distribution
 
 
 def install_command(extras: Sequence[str], distribution: str = DISTRIBUTION) -> str:
     """Return the command that installs a distribution with some extras."""
-    brackets = f"[{','.join(extras)}]" if extras else ""
-    return f"pip install '{distribution}{brackets}'"
+    return f"pip install '{with_extras(extras, distribution)}'"
 
 
 def require(user: str, *modules: str) -> None:
@@ -73,8 +76,10 @@ def require_extras(user: str, extras: Sequence[str], distribution: str = DISTRIB
     """
     missing = missing_extras(extras, distribution)
     if missing:
-        modules = sorted({name for extra in missing for name in _lacking(extra, distribution)})
-        raise MissingExtra(user, modules, missing, distribution)
+        brought = {x for extra in missing for x in _modules_by_extra(distribution)[extra]}
+        lacking = {x for extra in missing for x in _lacking(extra, distribution)}
+        told = [] if lacking == brought else sorted(lacking)  # of an extra that is there in part
+        raise MissingExtra(user, told, missing, distribution)
 
 
 def missing_extras(extras: Sequence[str], distribution: str = DISTRIBUTION) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.extras import naming_extras
 from carosac_toolkit.base.terminal import plain_output, printable
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.loop.plugins import entry_points_of, load, missing_extra
+from carosac_toolkit.loop.plugins import entry_points_of, lacking, load
 
 _USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
 
@@ -152,8 +152,8 @@ def _summary(entry: EntryPoint) -> str:
         return f"(not installed: {entry.value})"
     source = Path(spec.origin).read_text(encoding="utf-8")
     summary = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
-    command = missing_extra(entry)
-    return f"{summary} Needs: {command}" if command else summary
+    needed = lacking(entry)
+    return f"{summary} Needs {needed}." if needed else summary
 
 
 if __name__ == "__main__":

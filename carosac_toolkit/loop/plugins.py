@@ -19,10 +19,10 @@ from typing import Any, Literal, get_args
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.extras import (
     MissingExtra,
-    install_command,
     missing_extras,
     naming_extras,
     require_extras,
+    with_extras,
 )
 
 Kind = Literal["controllers", "estimators", "drivers", "links", "commands", "figures"]
@@ -75,10 +75,10 @@ def load(kind: Kind, name: str, *, complete: bool = True) -> Any:
     return _resolve(kind, name, entries[0])
 
 
-def missing_extra(point: EntryPoint) -> str:
-    """Return the command that installs what a plug-in needs, or nothing if all of it is there."""
+def lacking(point: EntryPoint) -> str:
+    """Return what has to be installed for a plug-in, such as ``name[extra]``; empty for nothing."""
     missing = missing_extras(point.extras, _owner(point))
-    return install_command(missing, _owner(point)) if missing else ""
+    return with_extras(missing, _owner(point)) if missing else ""
 
 
 def name_of(plugin: str | type[Any]) -> str:
@@ -194,9 +194,9 @@ def _allowed(kind: Kind, name: str) -> str:
     ready: list[str] = []
     others: dict[str, list[str]] = {}
     for known, points in sorted(installed.items()):
-        command = missing_extra(points[0])
-        (others.setdefault(command, []) if command else ready).append(known)
-    more = "".join(f", after {command}: {names}" for command, names in others.items())
+        needed = lacking(points[0])
+        (others.setdefault(needed, []) if needed else ready).append(known)
+    more = "".join(f", with {needed} also {names}" for needed, names in others.items())
     return f"one of {ready}{more}, or 'module:Class'" + did_you_mean(name, sorted(installed))
 
 

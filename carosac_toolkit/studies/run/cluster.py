@@ -89,7 +89,11 @@ def local_client(workers: int) -> Iterator[Any]:
 
     Args:
         workers: Number of workers.
+
+    Raises:
+        MissingExtra: The packages of worker processes are not installed.
     """
+    require_parallel_packages("a worker process")
     import dask
     from distributed import Client, LocalCluster, Security
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.extras import install_command
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.cluster import (
@@ -210,7 +211,8 @@ def _check(
         allowed = "no number of workers with a scheduler" if scheduler else "0 or more"
         raise InvalidField("workers", str(workers), allowed)
     if workers:
-        require_parallel_packages(f"workers={workers}")
+        processes = counted(workers, "worker process", "worker processes")
+        require_parallel_packages(f"a run on {processes}")
     if attempts < 1:
         raise InvalidField("attempts", str(attempts), "1 or more")
 
