@@ -292,15 +292,23 @@ def test_the_commands_of_the_base_work(carosac, tmp_path):
     assert "carosac" in carosac("robots").stdout
     assert carosac("check", "carosac", "--picture", "robot.png").returncode == 0
     assert (tmp_path / "robot.png").stat().st_size > 10_000
-    assert carosac("workspace", "carosac", "--points", "60", "--output", "space").returncode == 0
-    assert carosac("validate", "synthetic", "--output", "models").returncode == 0
+    assert carosac("workspace", "carosac", "--points", "60", "--no-pictures").returncode == 0
+    assert carosac("validate", "synthetic", "--stop", "40", "--output", "models").returncode == 0
+    assert (tmp_path / "models" / "report.html").is_file()
 
 
-def test_a_comparison_runs_in_one_process_and_says_how_to_use_all_cores(carosac, tmp_path):
-    done = carosac(
-        "compare", "--seeds", "5", "--driver", "quasi_static", "--trajectories", "line",
-        "--controllers", "straight_line", "--output", "study",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "on one core; for all cores: pip install 'carosac-toolkit[parallel]'" in done.stderr
-    assert (tmp_path / "study" / "report.html").is_file()
+def test_a_study_runs_in_one_process_and_says_how_to_use_all_cores(environment, tmp_path):
+    program = """
+import contextlib, io
+import carosac_toolkit as ct
+with contextlib.redirect_stderr(io.StringIO()) as told:
+    study = ct.Study(
+        controllers=["straight_line"], driver="quasi_static", trajectories=["line"],
+        seeds=5, output=folder,
+    )
+    results = study.run()
+answer = [told.getvalue().splitlines()[0], *[row["status"] for row in results.rows]]
+"""
+    note, *statuses = answers(environment(), program, folder=str(tmp_path / "study"))
+    assert note.endswith("on one core; for all cores: pip install 'carosac-toolkit[parallel]'")
+    assert statuses == ["ok"] * 5
