@@ -19,11 +19,11 @@ setup: $(STAMP)  ## install the toolkit and all it needs into .venv
 $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation, learning, viewing and bags, at the versions of constraints.txt."
+	@echo "2/3 Installing the toolkit in place with all its extras, and the tools for tests and"
+	@echo "    documentation, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn,ros,view]'
+		--constraint constraints.txt --editable '.[all,dev,docs]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@

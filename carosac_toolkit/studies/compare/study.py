@@ -29,7 +29,7 @@ from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_fe
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
-from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
+from carosac_toolkit.studies.run.cluster import default_workers, remote_client
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import check_statuses, free_folder
 from carosac_toolkit.studies.run.robot_copies import copy_robots
@@ -207,10 +207,11 @@ class Study:
         """Return the number of workers; user code runs in this process only on request.
 
         A plug-in of the user may hang or end its process, which must cost its own cases only.
+        Without the packages of worker processes there is no choice.
         """
         outside = any(":" in name for name in (*self.controllers, *self.estimators, self.driver))
         if self.workers is None and self.scheduler is None and outside:
-            return usable_cores()
+            return default_workers()
         return self.workers
 
     def _settings(self) -> dict[str, Any]:
