@@ -52,7 +52,7 @@ def run(options: Options) -> CommandResult:
     study = _study(options)
     study.check()
     if options.baseline is not None:
-        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.suites))
+        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.sensors))
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()
@@ -97,7 +97,7 @@ def _study(options: Options) -> Study:
         robots=options.robots,
         controllers=controllers,
         estimators=estimators,
-        suites=options.suites,
+        sensors=options.sensors,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
         seeds=range(options.seed, options.seed + count),
@@ -116,7 +116,7 @@ def _study(options: Options) -> Study:
 
 def _words(options: Options, study: Study) -> list[str]:
     """Return the command line that repeats this study."""
-    axes = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+    axes = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
     return [
         "carosac", "compare",
         *(word for name in axes for word in (f"--{name}", *getattr(study, name))),

@@ -33,8 +33,9 @@ class Options(CommonOptions):
     against: str | None = None
     """With --suite: folder of results of the same suite to compare with in pairs, such as
     benchmarks/reference."""
-    suites: tuple[str, ...] = ("lengths",)
-    """Sensor suites of the driver."""
+    sensors: tuple[str, ...] = ("lengths",)
+    """Sensors of the driver: `lengths`, `lengths+imu`, `lengths+pose`, `lengths+imu+pose`,
+    `lengths+tension` or `lengths+imu+tension`."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )
@@ -63,7 +64,7 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     baseline: str | None = None
     """Baseline of all paired comparisons: a controller, or those parts of `CONTROLLER / ESTIMATOR /
-    SUITE` that differ; by default the first row of the table."""
+    SENSORS` that differ; by default the first row of the table."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds is given: under a minute with the other defaults. A full run in the
     same folder continues from there."""

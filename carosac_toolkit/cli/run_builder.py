@@ -83,7 +83,7 @@ def make_guard(
     slow = options.speed <= TENSION_CHECK_SPEED_MAX
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
-        "period": period, "suite": options.suite, "motion": options.enable or reset_only,
+        "period": period, "suite": options.sensors, "motion": options.enable or reset_only,
         "start_position": home, "home_anew": options.home_anew,
         "home_confirmed": options.home_confirmed,
         "rehearse": options.home is not None and not reset_only, "enable_at_once": not reset_only,

@@ -25,8 +25,8 @@ class Options(CommonOptions):
     """Controller by name, or `module:Class`."""
     estimator: str = "kinematic_solver"
     """Estimator by name, or `module:Class`."""
-    suite: str = "lengths"
-    """Sensor suite of the driver."""
+    sensors: str = "lengths"
+    """Sensors of the driver, such as `lengths+imu`."""
     trajectory: str = DEFAULT_TRAJECTORY
     """Trajectory of the catalogue."""
     to: Place = None

@@ -79,8 +79,8 @@ class Options(CommonOptions):
     """With --live: estimator by name, or `module:Class`."""
     driver: str = "simulator"
     """With --live: `simulator`, `quasi_static`, or `module:Class` of a simulated driver."""
-    suite: str = "lengths"
-    """With --live: sensor suite of the driver."""
+    sensors: str = "lengths"
+    """With --live: sensors of the driver, such as `lengths+imu`."""
     speed: float | None = None
     """With --live: largest speed of the reference [m/s]; by default 1 m/s on the robot carosac, on
     others by their size."""
@@ -249,7 +249,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     }
     target = HandTarget(robot, robot.home_position, **limits)
     rehearsed = HandTarget(robot, robot.home_position, **limits)
-    rehearse(robot, estimator, controller, rehearsed, suite=options.suite)
+    rehearse(robot, estimator, controller, rehearsed, suite=options.sensors)
     page = PageProcess(
         PageOptions(
             robot=robot, title=f"{robot.name}: {options.controller} with {options.estimator}",
@@ -301,7 +301,7 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
             raise InvalidField(
                 "--set", f"driver.{name}={own[name]!r}", "nothing: an option of the command sets it"
             )
-    offered = {"suite": options.suite, "period": period, "real_time": True}
+    offered = {"suite": options.sensors, "period": period, "real_time": True}
     driver: SimulatedDriver = build_plugin(
         plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
     )

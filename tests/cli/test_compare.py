@@ -84,7 +84,7 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     assert data["cases"] == 4
     assert [line["controller"] for line in data["summary"]] == ["straight_line", "kinematic_solver"]
     for line in data["summary"]:
-        assert line["estimator"] == "kinematic_solver" and line["suite"] == "lengths"
+        assert line["estimator"] == "kinematic_solver" and line["sensors"] == "lengths"
         assert line["robot"] == "carosac" and line["reasons"] == {}
         for key in ("tracking_rmse_m", "estimation_rmse_m"):
             assert set(line[key]) == {"x", "y", "z", "norm"}
@@ -243,8 +243,8 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
         (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
         (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
-        (["--suites", "lenghts"], "suite: got 'lenghts'"),
-        (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
+        (["--sensors", "lenghts"], "sensors: got 'lenghts'"),
+        (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
         (["--robot", "carosak"], "did you mean 'carosac'"),

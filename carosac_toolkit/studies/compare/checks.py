@@ -56,16 +56,19 @@ def find_plugin(kind: Any, name: str) -> Any:
     return plugin
 
 
-def check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
-    """Refuse sensor suites that the driver does not have."""
+def check_sensors(driver: Any, name: str, sensors: Sequence[str]) -> None:
+    """Refuse sensors that the driver does not have."""
     kinds = getattr(driver, "Settings", None)
-    has_suites = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
-    for suite in suites:
-        if not has_suites and suite != "lengths":
+    has_choice = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
+    for suite in sensors:
+        if not has_choice and suite != "lengths":
             allowed = f"'lengths': driver {name} has no choice of sensors"
-            raise InvalidField("suite", repr(suite), allowed)
-        if has_suites:
-            replace(kinds(), suite=suite)  # type: ignore[misc]
+            raise InvalidField("sensors", repr(suite), allowed)
+        if has_choice:
+            try:
+                replace(kinds(), suite=suite)  # type: ignore[misc]
+            except InvalidField as error:
+                raise InvalidField("sensors", error.value, error.allowed) from error
 
 
 def check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:

@@ -20,8 +20,8 @@ from carosac_toolkit.studies.compare.checks import (
     RECORDED_TRAJECTORY,
     check_known,
     check_positive,
+    check_sensors,
     check_settings,
-    check_suites,
     check_truth,
     find_plugin,
 )
@@ -65,7 +65,7 @@ class Study:
         robots: Bundled names, or paths of robot files.
         controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``.
         estimators: The same; ``truth`` is what a simulated driver knows.
-        suites: Sensor suites that the driver has.
+        sensors: Sensors that measure, such as ``lengths+imu``; the driver must have them.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`; on the
             driver `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from: names, or paths of YAML files.
@@ -92,7 +92,7 @@ class Study:
     robots: Sequence[str] = ("carosac",)
     controllers: Sequence[Any] = DEFAULT_CONTROLLERS
     estimators: Sequence[Any] = DEFAULT_ESTIMATORS
-    suites: Sequence[str] = ("lengths",)
+    sensors: Sequence[str] = ("lengths",)
     trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
     perturbations: Sequence[str] = (DEFAULT_CONDITION,)
     seeds: int | Sequence[int] = DEFAULT_SEEDS
@@ -244,7 +244,7 @@ class Study:
         return settings
 
 
-STUDY_AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+STUDY_AXES = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
 
 
 def _check(study: Study) -> None:
@@ -272,7 +272,7 @@ def _check(study: Study) -> None:
     own = own_settings(study.driver, study.driver_settings)
     for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
         raise InvalidField(f"driver_settings.{name}", repr(own[name]), "none: each case sets it")
-    check_suites(driver, study.driver, study.suites)
+    check_sensors(driver, study.driver, study.sensors)
     check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
         names = getattr(study, kind)

@@ -203,8 +203,8 @@ def _possible_reason(results: StudyResults, members: Sequence[int]) -> str:
     varies = [
         name for name in COMPARED_COLUMNS if len({results.summary[j][name] for j in members}) > 1
     ]
-    if varies == ["suite"]:
-        return "neither controller nor estimator uses the sensors by which these suites differ"
+    if varies == ["sensors"]:
+        return "neither controller nor estimator uses the sensors that differ"
     if varies == ["estimator"]:
         return "these estimators do the same for this robot and these sensors"
     return "these controllers send the same commands to this robot"

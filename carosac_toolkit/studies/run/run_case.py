@@ -112,7 +112,7 @@ def run_case(case: Case) -> dict[str, Any]:
         duration = final_rest(robot) + path.duration
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
-        rehearse(robot, estimator, controller, path, suite=case.suite)
+        rehearse(robot, estimator, controller, path, suite=case.sensors)
     log = run(driver, estimator, controller, path, duration=duration)
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
@@ -137,7 +137,7 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == "truth":
         return Truth(driver)
-    given = {"load_cells": "tension" in case.suite.split("+")}
+    given = {"load_cells": "tension" in case.sensors.split("+")}
     asked = case.settings.get("estimator_settings", {})
     given = {name: value for name, value in given.items() if name not in asked}
     return build_part("estimators", case.estimator, robot, case, "estimator_settings", given)
@@ -153,7 +153,7 @@ def given_to_driver(
     scene = {
         "set_down": True, "wind_force": condition.wind_force, "wind_time": condition.wind_time,
     }  # fmt: skip
-    values = (case.suite, period, start, scene, *scene.values())
+    values = (case.sensors, period, start, scene, *scene.values())
     return dict(zip(CASE_DRIVER_SETTINGS, values, strict=True))
 
 

@@ -90,7 +90,7 @@ def test_fallbacks_are_told_with_their_reasons():
 def test_names_stand_on_lines_of_their_own_where_they_leave_no_room():
     long = []
     for k in (0, 1):
-        names = {"robot": f"/far/away/robot{k}.yaml", "suite": "lengths+imu+pose" + "x" * k}
+        names = {"robot": f"/far/away/robot{k}.yaml", "sensors": "lengths+imu+pose" + "x" * k}
         long.append(good(case(f"c{k}" * 12, **names), (0.01 + k, 0, 0), **CALM))
     text = terminal_table(study(long), 80)
     assert max(map(len, text.splitlines())) <= 80

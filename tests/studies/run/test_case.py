@@ -11,7 +11,7 @@ from carosac_toolkit.studies import Case, product
 from carosac_toolkit.studies.run import case as case_module
 from tests.studies.functions import NAMES, one_case, some_cases
 
-ALL_NAMES = ("robot", "controller", "estimator", "suite", "trajectory", "perturbation")
+ALL_NAMES = ("robot", "controller", "estimator", "sensors", "trajectory", "perturbation")
 
 
 def changed(case: Case, name: str) -> Case:
@@ -90,7 +90,7 @@ def test_settings_that_json_would_change_are_refused(settings):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("robot", ""), ("suite", None), ("seed", -1), ("seed", 1.0)]
+    ("field", "value"), [("robot", ""), ("sensors", None), ("seed", -1), ("seed", 1.0)]
 )
 def test_fields_are_checked(field, value):
     with pytest.raises(InvalidField, match=field):
@@ -98,7 +98,7 @@ def test_fields_are_checked(field, value):
 
 
 def test_product_holds_every_combination_once():
-    cases = product(**NAMES | {"suites": ["a", "b"]}, controllers=["x", "y"], seeds=[0, 1, 2])
+    cases = product(**NAMES | {"sensors": ["a", "b"]}, controllers=["x", "y"], seeds=[0, 1, 2])
     assert len({case.identity for case in cases}) == len(cases) == 12
     assert [case.seed for case in cases[:3]] == [0, 1, 2]
     assert some_cases(2) == some_cases(2)
