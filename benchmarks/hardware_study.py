@@ -41,7 +41,7 @@ def record(plc: PlcProcess, file: Path) -> Path:
         robot=str(plc.file), driver="ads", estimator="ks_ekf", sensors=SUITE, trajectory="circle",
         speed=0.5, acceleration=0.5, enable=True, home=(x, y, z), home_anew=True,
         settings=(f"driver.inner.start_position=[{x},{y},{z}]", f"driver.hang_time={PATIENCE}"),
-        recording=file,
+        output=file,
     )  # fmt: skip
     result = run_command.run(options)
     if result.status:

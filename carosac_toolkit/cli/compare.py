@@ -52,7 +52,9 @@ def run(options: Options) -> CommandResult:
     study = _study(options)
     study.check()
     if options.baseline is not None:
-        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.sensors))
+        check_baseline(
+            options.baseline, ways_of(study.controllers, study.estimators, study.sensors)
+        )
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()

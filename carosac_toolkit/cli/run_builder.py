@@ -154,7 +154,7 @@ def _move(
 @contextlib.contextmanager
 def recorded(options: Options) -> Iterator[CrashSafeRecorder]:
     """Yield the recorder of the run; nothing is left of it where nothing was measured."""
-    path = options.recording
+    path = options.output
     made: list[Path] = []
     if path is None:
         folder = Path("carosac-results/run")

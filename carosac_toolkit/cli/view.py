@@ -19,7 +19,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,7 +42,8 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
 from carosac_toolkit.loop.plugin_settings import chosen_settings
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories.catalogue import default_limits
@@ -67,7 +68,9 @@ RESERVED_DRIVER_SETTINGS = (
 class Options(CommonOptions):
     """Options of ``carosac view``."""
 
-    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT [GHOST]")]
+    what: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT [GHOST]")
+    ] = ()
     """A robot (bundled name or YAML file), a recording (bundled name, .parquet, .csv, .mat or
     .jsonl), or the folder of a study, FOLDER:NUMBER for one of its runs; a second recording or
     run is drawn as a ghost."""
@@ -94,7 +97,8 @@ class Options(CommonOptions):
     """With --live: setting of a plug-in: driver.FIELD=VALUE, such as driver.cables=catenary,
     controller.NAME.FIELD=VALUE or estimator.NAME.FIELD=VALUE; may be given several times."""
     robot: str | None = None
-    """Robot of a recording that names none: bundled, or a YAML file."""
+    """The robot to show, instead of WHAT; or the robot of a recording that names none: bundled, or
+    a YAML file."""
     sag: float = 1.0
     """Factor by which the distance of the cables from their chords is enlarged; the page says
     so."""
@@ -118,10 +122,15 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Serve, or write, one page."""
+    if not options.what and options.robot is not None:
+        options = replace(options, what=(options.robot,))
     _check(options)
     if _is_robot(options.what[0]):
         if len(options.what) > 1:
             raise InvalidField("GHOST", repr(options.what[1]), "nothing: a robot has no ghost")
+        if options.robot not in (None, options.what[0]):
+            allowed = f"one robot; the argument is {options.what[0]!r}"
+            raise InvalidField("--robot", repr(options.robot), allowed)
         robot = load_robot(options.what[0])
         return _live(options, robot) if options.live else _statics(options, robot)
     if options.live:
@@ -131,7 +140,10 @@ def run(options: Options) -> CommandResult:
 
 def _check(options: Options) -> None:
     """Refuse invalid numbers, and combinations that make no sense."""
-    if len(options.what) not in (1, 2):
+    if not options.what:
+        allowed = "a robot, a recording or a study's folder; see 'carosac view --help'"
+        raise InvalidField("WHAT", "nothing", allowed)
+    if len(options.what) > 2:
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
     if not 1.0 <= options.sag <= SAG_FACTOR_MAX:
         raise InvalidField("--sag", str(options.sag), f"1 to {SAG_FACTOR_MAX:g}")

@@ -137,7 +137,15 @@ def _html(
 def _settings(results: StudyResults) -> dict[str, str]:
     """Return the settings of the cases."""
     terms = {"cases": str(len(results.rows))}
-    for name in ("robot", "controller", "estimator", "sensors", "trajectory", "perturbation", "seed"):
+    for name in (
+        "robot",
+        "controller",
+        "estimator",
+        "sensors",
+        "trajectory",
+        "perturbation",
+        "seed",
+    ):
         values = dict.fromkeys(str(row[name]) for row in results.rows)
         terms[name] = ", ".join(values)
     shared: dict[str, dict[str, None]] = {}

@@ -93,9 +93,7 @@ def read_rows(folder: Path) -> list[Row]:
     path = folder / RESULTS
     reader = csv.DictReader(io.StringIO(_text(path)))
     reader.fieldnames = list(renamed(dict.fromkeys(reader.fieldnames or ())))
-    missing = [
-        name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in reader.fieldnames
-    ]
+    missing = [name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in reader.fieldnames]
     if missing:
         raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
     rows, faults = [], []
