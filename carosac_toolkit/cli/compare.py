@@ -41,6 +41,7 @@ from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 from carosac_toolkit.trajectories.catalogue import default_limits
+from carosac_toolkit.trajectories.path_file import is_path_file
 
 
 def run(options: Options) -> CommandResult:
@@ -135,11 +136,16 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """Describe the study that is about to run."""
+    drawn = [name for name in study.trajectories if not is_path_file(name)]
+    files = [name for name in study.trajectories if name not in drawn]
+    paths = [f"{counted(len(drawn), 'trajectory', 'trajectories')} ({', '.join(drawn)}) of up to "
+             f"{_limits(study)}"] if drawn else []  # fmt: skip
+    if files:
+        own = "as fast as the file says" if len(files) == 1 else "as fast as the files say"
+        paths.append(f"{', '.join(files)} {own}")
     return (
         f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
-        f"{', '.join(study.perturbations)}: "
-        f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
-        f"({', '.join(study.trajectories)}) of up to {_limits(study)}, "
+        f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
         f"{counted(len(study.seed_list), 'seed')}"
     )
 

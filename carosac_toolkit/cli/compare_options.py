@@ -39,7 +39,9 @@ class Options(CommonOptions):
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )
-    """Trajectories of the catalogue."""
+    """Trajectories of the catalogue, or files: a .csv with the columns time_s, position_x_m,
+    position_y_m and position_z_m, or a recording or the folder with one; its speeds are the
+    file's."""
     perturbations: Annotated[
         tuple[str, ...],
         tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
@@ -53,8 +55,8 @@ class Options(CommonOptions):
     """Driver to control: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
     `module:Class`."""
     speed: float | None = None
-    """Largest speed of the trajectories [m/s]; by default 1 m/s on the robot carosac, and on others
-    as much more or less as their size asks for."""
+    """Largest speed of the trajectories of the catalogue [m/s]; by default 1 m/s on the robot
+    carosac, and on others as much more or less as their size asks for."""
     acceleration: float | None = None
     """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2."""
     settings: Annotated[

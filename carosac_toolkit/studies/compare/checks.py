@@ -26,11 +26,11 @@ def check_positive(name: str, value: Any, unit: str) -> None:
         raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
 
 
-def check_known(field: str, names: Any, allowed: Sequence[str]) -> None:
-    """Refuse names that are not in a list."""
+def check_known(field: str, names: Any, allowed: Sequence[str], *, more: str = "") -> None:
+    """Refuse names that are not in a list; `more` says what else is allowed."""
     for name in names:
         if name not in allowed:
-            choices = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            choices = f"one of {list(allowed)}{more}{did_you_mean(name, allowed)}"
             raise InvalidField(field, repr(name), choices)
 
 

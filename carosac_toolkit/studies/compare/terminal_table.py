@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from carosac_toolkit.base.tables import aligned
+from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
 from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
@@ -99,9 +100,10 @@ def _short(name: str, results: StudyResults) -> list[str]:
 
 
 def short_name(text: str) -> str:
-    """Return the stem of a robot file, the class of ``module:Class``, or the name itself."""
-    if text.lower().endswith((".yaml", ".yml")):
-        return Path(text).stem
+    """Return the stem of a file, the class of ``module:Class``, or the name itself."""
+    path = Path(text)
+    if path.suffix.lower() in (".yaml", ".yml", *READERS_BY_SUFFIX) or "/" in text:
+        return path.stem
     return text.rpartition(":")[2] or text
 
 

@@ -32,6 +32,7 @@ from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.scores import score
+from carosac_toolkit.trajectories.path_file import is_path_file, path_digest
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 DEFAULT_DRIVER = "simulator"
@@ -43,6 +44,7 @@ SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest", "condition_digest",
+    "trajectory_digest",
 )  # fmt: skip
 
 
@@ -123,7 +125,17 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def path_of(case: Case, robot: Robot) -> Trajectory:
-    """Return the trajectory that a case draws."""
+    """Return the trajectory that a case draws, or that of its file.
+
+    Raises:
+        CarosacError: The file is not the one that the case was made for.
+    """
+    if is_path_file(case.trajectory):
+        if case.settings.get("trajectory_digest") not in (None, path_digest(case.trajectory)):
+            raise CarosacError(
+                f"trajectory {case.trajectory}: this file is not the one the study was made for"
+            )
+        return trajectories.from_file(case.trajectory, robot)
     limits = {x: case.settings.get(x) for x in ("speed_max", "acceleration_max")}
     return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
 
