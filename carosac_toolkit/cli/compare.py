@@ -146,7 +146,7 @@ def _what(study: Study) -> str:
     return (
         f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
         f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
-        f"{counted(len(study.seed_list), 'seed')}"
+        f"{counted(len(study.seed_list), 'seed')}, in all {counted(len(study.cases()), 'case')}"
     )
 
 

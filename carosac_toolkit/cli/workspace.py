@@ -184,6 +184,10 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
             place = float("nan")
         if axis not in tuple(GRID_AXES) or not np.isfinite(place):
             raise InvalidField("--slice", repr(text), "x=, y= or z= with a number, such as z=2")
+        low, high = lower[GRID_AXES.index(axis)], upper[GRID_AXES.index(axis)]
+        if not low <= place <= high:
+            allowed = f"{axis}={low:g} to {axis}={high:g} m, the box searched"
+            raise InvalidField("--slice", repr(text), allowed)
         planes.append(slice_grid(lower, upper, axis, place, count))
     return planes
 

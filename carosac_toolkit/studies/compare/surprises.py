@@ -14,6 +14,7 @@ from carosac_toolkit.studies.compare.results import (
 )
 from carosac_toolkit.studies.compare.terminal_table import main_limit, percent, short_name
 from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.trajectories.path_file import is_path_file
 
 LIMITED_SHARE_MIN = 0.01  # of the commands: fewer are not worth a sentence
 SLACK_SHARE_MIN = 0.001  # of the time; tensions count from here on
@@ -27,18 +28,22 @@ ADVICE = {
         "behind, plus the delay of its encoder: raise driver.limits.jump_max above that (--set "
         "driver.limits.jump_max=METRES), or go slower"
     ),
-    "speed": "a winch cannot wind as fast as asked: lower --speed, or raise its speed_max",
-    "acceleration": (
-        "a winch cannot accelerate as asked: lower --acceleration, or raise its acceleration_max"
-    ),
-    "jerk": "the acceleration of a cable changed too fast: lower --acceleration, or raise "
-    "driver.limits.jerk_max",
+    "speed": "a winch cannot wind as fast as asked: {slower}, or raise its speed_max",
+    "acceleration": "a winch cannot accelerate as asked: {gentler}, or raise its acceleration_max",
+    "jerk": "the acceleration of a cable changed too fast: {gentler}, lower the gains of the "
+    "controller, or raise driver.limits.jerk_max",
     "length": "a cable would be shorter or longer than its winch allows: check length_min and "
     "length_max in the robot file",
     "box": "the platform would leave the workspace box of the robot file",
-    "length_rate": "the feed-forward rate was above the speed of a winch: lower --speed",
+    "length_rate": "the feed-forward rate was above the speed of a winch: {slower}",
     "coordination": "cables were held back to stay with the others",
 }
+WINCH_LIMITS = ("speed", "acceleration", "length_rate")  # which `path_feasibility` judges too
+CORRECTIONS_ADVICE = (
+    "the paths alone stay within the limits of the winches, so what the controller adds is too "
+    "fast, from sway that it damps, errors that it corrects or noise of its estimate: lower its "
+    "gains, take another estimator, or raise the limit; slower paths change little"
+)
 
 
 def surprises(results: StudyResults) -> list[str]:
@@ -92,12 +97,29 @@ def _limited(results: StudyResults) -> Iterator[str]:
     for name, members in by_limit.items():
         each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
         reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
-        advice = ADVICE.get(name, "see driver.limits").format(reach=f"{reach:.2g}")
+        advice = _advice(results, name, members).format(reach=f"{reach:.2g}")
         yield (
             f"Commands were changed by limits before they reached the winches, mostly by {name} "
             f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
             "controller."
         )
+
+
+def _advice(results: StudyResults, name: str, members: Sequence[tuple[str, dict[str, Any]]]) -> str:
+    """Say why a limit was met and what helps; slower paths do not where these are feasible."""
+    robots = {str(line["robot"]) for _, line in members}
+    judged = [one for one in results.feasibility if one.robot in robots]
+    if name in WINCH_LIMITS and judged and not any(one.infeasible for one in judged):
+        return CORRECTIONS_ADVICE
+    drawn = any(not is_path_file(str(row["trajectory"])) for row in results.rows)
+    words = {
+        "slower": "lower --speed" if drawn else "slow the path down",
+        "gentler": "lower --acceleration" if drawn else "smooth or slow the path down",
+    }
+    advice = ADVICE.get(name, "see driver.limits")
+    for key, text in words.items():
+        advice = advice.replace(f"{{{key}}}", text)
+    return advice
 
 
 def _tensions(results: StudyResults) -> Iterator[str]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
@@ -41,6 +43,23 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
     assert "mostly by jump (b 44 % of the commands)" in text
     assert "0.5 m behind" in text and "--set driver.limits.jump_max=METRES" in text
     assert "44 % jump" in terminal_table(results, 100)
+
+
+def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
+    limited = LIMITED | {"limited_first": json.dumps({"speed": 44})}
+    calm = PathFeasibility(
+        robot="carosac", trajectory="circle", paths=2, infeasible=0, reason="", time_scale=1.0,
+        speed=0.1, acceleration=0.1,
+    )  # fmt: skip
+    results = study(rows("a", **limited))
+    fast = replace(calm, infeasible=1, reason="too fast", time_scale=0.5)
+    (text,) = surprises(replace(results, feasibility=(fast,)))
+    assert "lower --speed, or raise its speed_max" in text
+    (text,) = surprises(replace(results, feasibility=(calm,)))
+    assert "lower --speed" not in text and "what the controller adds is too fast" in text
+    own = [row | {"trajectory": "my.csv"} for row in rows("a", **limited)]
+    (text,) = surprises(replace(study(own), feasibility=(fast,)))
+    assert "slow the path down" in text and "--speed" not in text
 
 
 def test_slack_and_overloaded_cables_are_told_with_the_limits():
