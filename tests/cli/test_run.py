@@ -37,7 +37,7 @@ QUICK = (PATIENT[0], "driver.guard.hang_time=0.8", PATIENT[2])  # where it is to
 
 def words(tmp_path, *more, settings=PATIENT):
     chosen = [word for setting in settings for word in ("--set", setting)]
-    files = ["--recording", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
+    files = ["--output", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
     return ["run", "--rate", "25", *files, *chosen, *more]
 
 
