@@ -40,10 +40,11 @@ ADVICE = {
 }
 WINCH_LIMITS = ("speed", "acceleration", "length_rate")  # which `path_feasibility` judges too
 CORRECTIONS_ADVICE = (
-    "the paths alone stay within the limits of the winches, so what the controller adds is too "
-    "fast, from sway that it damps, errors that it corrects or noise of its estimate: lower its "
-    "gains, take another estimator, or raise the limit; slower paths change little"
+    "the paths alone stay within the limits of the winches, so slower paths help little. What is "
+    "too fast is what is added to them: the step onto the controller's own model, corrections of "
+    "errors, damping of sway or noise of the estimate"
 )
+SLACK_SHARE_LASTING = 0.5  # of the time: slack from more than fast motion
 
 
 def surprises(results: StudyResults) -> list[str]:
@@ -130,12 +131,9 @@ def _tensions(results: StudyResults) -> Iterator[str]:
     )  # fmt: skip
     if slack:
         low = _limits(results, "tension_limit_low_N", "slack_share")
-        held = any((x["limited_share"] or 0.0) > LIMITED_SHARE_MIN for x in results.summary)
-        first = "see to the limited commands first, then " if held else ""
         yield (
             f"Cables went slack, below tension_min ({low} N): {'; '.join(slack)}. A slack cable "
-            f"does not guide the platform: {first}go slower, or keep farther from the edge of the "
-            "workspace."
+            f"does not guide the platform: {_slack_advice(results)}."
         )
     over = _times(
         results, "overload_share", SLACK_SHARE_MIN,
@@ -144,6 +142,19 @@ def _tensions(results: StudyResults) -> Iterator[str]:
     if over:
         high = _limits(results, "tension_limit_high_N", "overload_share")
         yield f"Cables were overloaded, above tension_max ({high} N): {'; '.join(over)}."
+
+
+def _slack_advice(results: StudyResults) -> str:
+    """Say what keeps cables taut."""
+    if any((line["slack_share"] or 0.0) > SLACK_SHARE_LASTING for line in results.summary):
+        return (
+            "slack for most of the time does not come from speed. See whether errors of encoders "
+            "and points (driver.sensors, --condition) are large for a robot of this size, and "
+            "whether carosac check finds tensions within the limits"
+        )
+    held = any((line["limited_share"] or 0.0) > LIMITED_SHARE_MIN for line in results.summary)
+    first = "see to the limited commands first, then " if held else ""
+    return f"{first}go slower, or keep farther from the edge of the workspace"
 
 
 def _times(

@@ -56,7 +56,7 @@ def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
     (text,) = surprises(replace(results, feasibility=(fast,)))
     assert "lower --speed, or raise its speed_max" in text
     (text,) = surprises(replace(results, feasibility=(calm,)))
-    assert "lower --speed" not in text and "what the controller adds is too fast" in text
+    assert "lower --speed" not in text and "slower paths help little" in text
     own = [row | {"trajectory": "my.csv"} for row in rows("a", **limited)]
     (text,) = surprises(replace(study(own), feasibility=(fast,)))
     assert "slow the path down" in text and "--speed" not in text
@@ -68,6 +68,9 @@ def test_slack_and_overloaded_cables_are_told_with_the_limits():
     slack, over = surprises(results)
     assert "below tension_min (20 N): a 34 % of the time, down to 0.01 N" in slack
     assert "above tension_max (500 N): a 2 % of the time, up to 700 N" in over
+    assert "go slower" in slack
+    lasting, _ = surprises(study(rows("a", **more | {"slack_share": 0.99})))
+    assert "does not come from speed" in lasting and "go slower" not in lasting
 
 
 def test_paths_that_were_moved_to_where_the_robot_can_rest_are_told():
