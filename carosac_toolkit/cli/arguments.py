@@ -142,7 +142,11 @@ def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
 
 def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
     """Return the error for an option without its value."""
-    return InvalidField(_spelling(event.argument), "nothing", f"a value; see '{event.prog} --help'")
+    flag, metavar = _spelling(event.argument), str(event.argument.lowered.metavar or "")
+    given = _written_after(flag, words)
+    if not given:
+        return InvalidField(flag, "nothing", f"a value; see '{event.prog} --help'")
+    return InvalidField(flag, repr(" ".join(given)), f"{metavar}; see '{event.prog} --help'")
 
 
 def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
@@ -183,6 +187,16 @@ def _written(flag: str, words: list[str]) -> str:
         if word.startswith(f"{flag}="):
             return repr(word.partition("=")[2])
     return "a value"
+
+
+def _written_after(flag: str, words: list[str]) -> list[str]:
+    """Return the values that the user wrote for an option."""
+    given: list[str] = []
+    for word in words[words.index(flag) + 1 :] if flag in words else []:
+        if word.startswith("--"):
+            break
+        given.append(word)
+    return given
 
 
 def _names(options: type) -> list[str]:

@@ -10,7 +10,9 @@ A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -85,6 +87,17 @@ class CommandResult:
 
     data: dict[str, Any] = field(default_factory=dict)
     status: int = 0
+
+
+@contextlib.contextmanager
+def sensors_named() -> Iterator[None]:
+    """Name the option in the error of a driver over its setting ``suite``."""
+    try:
+        yield
+    except InvalidField as error:
+        if error.field != "suite":
+            raise
+        raise InvalidField("--sensors", error.value, error.allowed) from error
 
 
 def period_of_rate(rate: float) -> float:

@@ -26,7 +26,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.files import check_writable
 from carosac_toolkit.cli.common import (
     CommandResult,
@@ -34,6 +34,7 @@ from carosac_toolkit.cli.common import (
     OutputFile,
     check_reach,
     period_of_rate,
+    sensors_named,
 )
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
@@ -42,6 +43,7 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
 from carosac_toolkit.loop.plugin_settings import chosen_settings
+from carosac_toolkit.recordings.bundled import list_recordings
 from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
@@ -216,7 +218,14 @@ def _replay(options: Options) -> CommandResult:
     from carosac_toolkit.viewer.replay import Replay
     from carosac_toolkit.viewer.runs import load_runs, same_robot
 
-    runs = load_runs(options.what[0], options.robot)
+    name = options.what[0]
+    if not Path(name).suffix and not Path(name.partition(":")[0]).exists():
+        known = [*list_robots(), *list_recordings()]
+        if name not in known and "/" not in name:
+            hint = did_you_mean(name, known)
+            allowed = f"one of {known}, a robot file, a recording or a study's folder{hint}"
+            raise InvalidField("WHAT", repr(name), allowed)
+    runs = load_runs(name, options.robot)
     ghost = None
     if len(options.what) > 1:
         ghost = len(runs)
@@ -314,9 +323,10 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
                 "--set", f"driver.{name}={own[name]!r}", "nothing: an option of the command sets it"
             )
     offered = {"suite": options.sensors, "period": period, "real_time": True}
-    driver: SimulatedDriver = build_plugin(
-        plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
-    )
+    with sensors_named():
+        driver: SimulatedDriver = build_plugin(
+            plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
+        )
     return driver
 
 

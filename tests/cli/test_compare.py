@@ -243,6 +243,7 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
         (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
         (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
+        (["--estimators", "truthh"], "did you mean 'truth'?"),
         (["--sensors", "lenghts"], "sensors: got 'lenghts'"),
         (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),

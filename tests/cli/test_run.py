@@ -307,7 +307,7 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
         (("--duration", "-3"), "--duration: got -3.0; allowed: > 0, finite"),
-        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
+        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: (-1.6, -3.8, 1) to"),
         (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
         (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):

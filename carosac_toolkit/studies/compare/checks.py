@@ -45,6 +45,11 @@ def find_plugin(kind: Any, name: str) -> Any:
         raise InvalidField(kind[:-1], repr(name), "NAME, or NAME@LABEL with a label")
     try:
         plugin = plugins.load(kind, plugin_name(name))
+    except InvalidField as error:
+        if kind != "estimators":
+            raise
+        allowed = f"'truth' of a simulated driver, {error.allowed}{did_you_mean(name, ['truth'])}"
+        raise InvalidField(error.field, error.value, allowed) from error
     except CarosacError:
         raise
     except Exception as error:

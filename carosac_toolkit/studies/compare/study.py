@@ -299,7 +299,7 @@ def _check_trajectories(study: Study, *, replayed: bool) -> None:
     drawn = [name for name in study.trajectories if name not in files]
     check_known(
         "trajectory", drawn, (RECORDED_TRAJECTORY, *names) if replayed else names,
-        more="" if replayed else ", or a file: .csv, or a recording",
+        more="" if replayed else ", or a file: .csv, a recording, or ./FOLDER with one",
     )  # fmt: skip
     for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
         if getattr(study, name) is not None and files and not drawn:

@@ -139,7 +139,8 @@ def product(
     }
     for axis, values in axes.items():
         if isinstance(values, str) or not values or len(set(values)) < len(values):
-            raise InvalidField(axis, repr(values), "a list of one or more different values")
+            shown = repr(list(values)) if values and not isinstance(values, str) else repr(values)
+            raise InvalidField(axis, shown if values else "none", "one or more different values")
     names = (*CASE_COLUMNS, "seed")
     return [
         Case(**dict(zip(names, values, strict=True)), settings=settings or {})

@@ -174,7 +174,7 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"seeds": [1, 1]}, "seeds: got"),
         ({"seeds": [-1]}, "seed: got -1"),
         ({"controllers": "straight_line"}, "controllers: got 'straight_line'; allowed: a list"),
-        ({"controllers": []}, "controllers: got ()"),
+        ({"controllers": []}, "controllers: got none"),
         ({"controllers": ["straight_lime"]}, "did you mean 'straight_line'"),
         ({"estimators": ["json:dumps"]}, "a class with build"),
         ({"trajectories": ["circel"]}, "did you mean 'circle'"),
