@@ -320,7 +320,7 @@ def test_a_path_of_the_user_is_run_and_its_study_viewed_from_anywhere(
         (["high.csv"], "high.csv: z at 2.000 s: got 6.0000 m; allowed: 1 m to 5 m, the box of"),
         (["none.csv"], "none.csv: no such file; a trajectory is a .csv, or a recording"),
         (["high.csv", "--speed", "2"], "speed_max: got 2.0 m/s; allowed: none: all trajectories"),
-        (["circel"], "or a file: .csv, or a recording; did you mean 'circle'?"),
+        (["circel"], "or ./FOLDER with one; did you mean 'circle'?"),
     ],
 )
 def test_bad_paths_are_refused_before_any_work(words, message, capsys):

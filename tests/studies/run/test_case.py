@@ -7,6 +7,7 @@ import pytest
 
 import carosac_toolkit
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies import Case, product
 from carosac_toolkit.studies.run import case as case_module
 from tests.studies.functions import NAMES, one_case, some_cases
@@ -110,3 +111,15 @@ def test_product_holds_every_combination_once():
 def test_product_refuses_axes_that_hide_a_mistake(axis, values):
     with pytest.raises(InvalidField, match=axis):
         product(**NAMES | {"controllers": ["x"], "seeds": [0]} | {axis: values})
+
+
+def test_a_case_keeps_identity_and_seeds_of_when_its_sensors_were_called_suite():
+    """Else the draws of published results would change, and earlier studies could not go on."""
+    case = Case(
+        robot="carosac", controller="mpc", estimator="ks_ekf", sensors="lengths+imu",
+        trajectory="line", perturbation="nominal-1", seed=3,
+    )  # fmt: skip
+    assert case.rng_seed == 4324701224892008619
+    assert case.plant_seed == 763508348114864695
+    if __version__ == "0.1.0":  # which is in the identity
+        assert case.identity == "2988a328fd739e59"
