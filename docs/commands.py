@@ -53,7 +53,7 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 MADE = (
     ("compare --seeds 1 --trajectories waypoints --workers 0 --output carosac-results/demo",
      "carosac-results/demo/report.html"),
-    ("run --duration 2 --recording carosac-results/run/20261122-041500.jsonl",
+    ("run --duration 2 --output carosac-results/run/20261122-041500.jsonl",
      "carosac-results/run/20261122-041500.jsonl"),
 )  # fmt: skip
 
@@ -73,7 +73,7 @@ SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "ru
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
     "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
-    "--suites lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is a "
+    "--sensors lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is a "
     "command of the overview",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",

@@ -135,7 +135,7 @@ class TrainingRun:
         if self.device != CPU_DEVICE:
             settings["device"] = self.device
         return Case(
-            robot=self.robot, controller=self.name, estimator=NO_PART, suite=NO_PART,
+            robot=self.robot, controller=self.name, estimator=NO_PART, sensors=NO_PART,
             trajectory=NO_PART, perturbation=NO_PART, seed=self.seed, settings=settings,
         )  # fmt: skip
 

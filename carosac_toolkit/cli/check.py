@@ -12,23 +12,18 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Annotated
-
-import tyro
 
 from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.cli.check_tables import describe
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.common import CommandResult, OutputFile, RobotOptions
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.robot.file import parse_file, robot_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(RobotOptions):
     """Options of ``carosac check``."""
 
-    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
-    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     picture: OutputFile = None
     """Draw the robot at home into this PNG file."""
 

@@ -33,12 +33,15 @@ class Options(CommonOptions):
     against: str | None = None
     """With --suite: folder of results of the same suite to compare with in pairs, such as
     benchmarks/reference."""
-    suites: tuple[str, ...] = ("lengths",)
-    """Sensor suites of the driver."""
+    sensors: tuple[str, ...] = ("lengths",)
+    """Sensors of the driver: `lengths`, `lengths+imu`, `lengths+pose`, `lengths+imu+pose`,
+    `lengths+tension` or `lengths+imu+tension`."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )
-    """Trajectories of the catalogue."""
+    """Trajectories of the catalogue, or files: a .csv with the columns time_s, position_x_m,
+    position_y_m and position_z_m, or a recording or the folder with one; its speeds are the
+    file's."""
     perturbations: Annotated[
         tuple[str, ...],
         tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
@@ -52,8 +55,8 @@ class Options(CommonOptions):
     """Driver to control: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
     `module:Class`."""
     speed: float | None = None
-    """Largest speed of the trajectories [m/s]; by default 1 m/s on the robot carosac, and on others
-    as much more or less as their size asks for."""
+    """Largest speed of the trajectories of the catalogue [m/s]; by default 1 m/s on the robot
+    carosac, and on others as much more or less as their size asks for."""
     acceleration: float | None = None
     """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2."""
     settings: Annotated[
@@ -63,7 +66,7 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     baseline: str | None = None
     """Baseline of all paired comparisons: a controller, or those parts of `CONTROLLER / ESTIMATOR /
-    SUITE` that differ; by default the first row of the table."""
+    SENSORS` that differ; by default the first row of the table."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds is given: under a minute with the other defaults. A full run in the
     same folder continues from there."""

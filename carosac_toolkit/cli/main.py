@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import errno
 import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +14,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.extras import naming_extras
 from carosac_toolkit.base.terminal import plain_output, printable
 from carosac_toolkit.base.version import __version__
+from carosac_toolkit.cli.option_source import read_summary
 from carosac_toolkit.loop.plugins import entry_points_of, lacking, load
 
 _USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
@@ -147,11 +146,9 @@ def _summaries(group: str = "") -> str:
 
 def _summary(entry: EntryPoint) -> str:
     """Read a command's summary from its source."""
-    spec = find_spec(entry.module)
-    if spec is None or spec.origin is None:
+    summary = read_summary(entry.module)
+    if summary is None:
         return f"(not installed: {entry.value})"
-    source = Path(spec.origin).read_text(encoding="utf-8")
-    summary = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
     needed = lacking(entry)
     return f"{summary} Needs {needed}." if needed else summary
 

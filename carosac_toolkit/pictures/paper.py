@@ -30,7 +30,7 @@ VALIDATE_COMMAND = "carosac validate RECORDING --models simulator kinematic_solv
 COMPARE_COMMAND = "carosac compare --output DIR"
 DRIVE_COMMAND = (
     "carosac compare --controllers kinematic_solver td3 --estimators dynamic_estimator "
-    "--suites lengths+imu --trajectories minimum_snap --speed 2.08 --acceleration 2 --output DIR"
+    "--sensors lengths+imu --trajectories minimum_snap --speed 2.08 --acceleration 2 --output DIR"
 )
 GROUPS_MAX = len(SERIES_COLORS)
 LENGTH_AXIS_PERCENTILE = 99.0  # percent of the values that the axis of lengths shows

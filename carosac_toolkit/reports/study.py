@@ -27,7 +27,7 @@ from carosac_toolkit.studies.compare.results import StudyResults, estimated, tra
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
-from carosac_toolkit.studies.run.robot_copies import copy_of
+from carosac_toolkit.studies.run.robot_copies import PATHS_FOLDER, copy_of
 
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
@@ -137,7 +137,15 @@ def _html(
 def _settings(results: StudyResults) -> dict[str, str]:
     """Return the settings of the cases."""
     terms = {"cases": str(len(results.rows))}
-    for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
+    for name in (
+        "robot",
+        "controller",
+        "estimator",
+        "sensors",
+        "trajectory",
+        "perturbation",
+        "seed",
+    ):
         values = dict.fromkeys(str(row[name]) for row in results.rows)
         terms[name] = ", ".join(values)
     shared: dict[str, dict[str, None]] = {}
@@ -151,4 +159,7 @@ def _settings(results: StudyResults) -> dict[str, str]:
         if (path := copy_of(results.folder, row)) is not None
     )
     terms["robot files"] = "; ".join(copies)
+    paths = sorted((results.folder / PATHS_FOLDER).glob("*"))
+    if paths:
+        terms["trajectory files"] = "; ".join(str(x.relative_to(results.folder)) for x in paths)
     return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

@@ -84,6 +84,7 @@ def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
     [
         (["carosac", "--rpy-deg", "0,0,0"], "4 cables of carosac leave the orientation free"),
         (["cogiro", "--rpy-deg", "0;0"], "ROLL,PITCH,YAW in degrees"),
+        (["carosac", "--slice", "z=99"], "'z=99'; allowed: z=1 to z=5 m, the box searched"),
         (["carosac", "--slice", "q=1"], "x=, y= or z= with a number"),
         (["carosac", "--lower", "0", "0", "0"], "--lower and --upper go together"),
         (["carosac", "--lower", "0", "0", "3", "--upper", "1", "1", "2"], "below --upper"),

@@ -10,8 +10,9 @@ import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.base.extras import MissingExtra
+from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.differences import differing
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.file import load_robot
 from learned.environment import EnvironmentSettings
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.policy_probe import make_probe

@@ -17,7 +17,7 @@ SETTINGS = {"driver": "quasi_static", "speed_max": 1.0}
 
 
 def case(controller: str, seed: int = 0, trajectory: str = "circle", **other: Any) -> Case:
-    names = {"robot": "carosac", "estimator": "truth", "suite": "lengths"} | other
+    names = {"robot": "carosac", "estimator": "truth", "sensors": "lengths"} | other
     return Case(
         controller=controller, seed=seed, trajectory=trajectory, settings=SETTINGS,
         **{"perturbation": "none"} | names,

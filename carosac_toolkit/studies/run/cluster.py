@@ -134,9 +134,13 @@ def remote_client(address: str) -> Iterator[Any]:
     """
     require_parallel_packages("a dask scheduler")
     from distributed import Client
+    from distributed.comm.addressing import parse_address, parse_host_port
 
     allowed = "address of a running dask scheduler, such as 'tcp://host:8786'"
     try:
+        protocol, place = parse_address(address)
+        if protocol in ("tcp", "tls"):
+            parse_host_port(place)  # a client without a port hangs when it is closed
         client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InvalidField("scheduler", repr(address), f"{allowed} ({error})") from error

@@ -78,8 +78,8 @@ def test_a_group_without_any_score_has_nulls_and_is_not_complete():
     json.dumps(results.data(), allow_nan=False)
 
 
-def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
-    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("suite", "s"),
+def test_a_group_is_a_robot_controller_estimator_sensors_and_perturbation():
+    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("sensors", "s"),
              ("robot", "scampi"), ("perturbation", "nominal-1")]  # fmt: skip
     rows = [
         good(case(**{"controller": "a"} | {name: x}, seed=seed), (1, 0, 0))
@@ -95,7 +95,7 @@ def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
 
 def test_long_names_keep_the_table_within_its_width():
     names = [f"a.very.long.package.of.somebody:Controller{k}" for k in range(2)]
-    rows = [good(case(name, suite="lengths+imu+pose"), (1, 0, 0)) for name in names]
+    rows = [good(case(name, sensors="lengths+imu+pose"), (1, 0, 0)) for name in names]
     text = terminal_table(study(rows), 80)
     assert max(map(len, text.splitlines())) <= 80
     assert "Controller0 " in text and "Controller1 " in text and "..." not in text
@@ -174,17 +174,17 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"seeds": [1, 1]}, "seeds: got"),
         ({"seeds": [-1]}, "seed: got -1"),
         ({"controllers": "straight_line"}, "controllers: got 'straight_line'; allowed: a list"),
-        ({"controllers": []}, "controllers: got ()"),
+        ({"controllers": []}, "controllers: got none"),
         ({"controllers": ["straight_lime"]}, "did you mean 'straight_line'"),
         ({"estimators": ["json:dumps"]}, "a class with build"),
         ({"trajectories": ["circel"]}, "did you mean 'circle'"),
         ({"perturbations": ["nominal1"]}, "did you mean 'nominal-1'"),
-        ({"suites": ["lengths+imu"], "driver": "quasi_static"}, "suite: got 'lengths+imu'"),
+        ({"sensors": ["lengths+imu"], "driver": "quasi_static"}, "sensors: got 'lengths+imu'"),
         (
             {"driver_settings": {"wind_force": 2.0}},
             "driver_settings.wind_force: got 2.0; allowed: none",
         ),
-        ({"driver": PLAIN, "suites": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
+        ({"driver": PLAIN, "sensors": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
         ({"driver": PLAIN, "estimators": ["truth"]}, f"driver {PLAIN} knows no truth"),
         ({"speed_max": float("nan")}, "speed_max: got nan m/s"),
         ({"acceleration_max": -1.0}, "acceleration_max: got -1.0 m/s^2"),
