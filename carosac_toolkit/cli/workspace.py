@@ -276,6 +276,8 @@ def _write(
     options: Options, folder: Path, regions: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
+    from carosac_toolkit.pictures.saving import picture_files
+
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
@@ -287,7 +289,8 @@ def _write(
     for model, (whole, slices) in regions.items():
         end = f"-{model}" if len(regions) == 2 else ""
         for name, figure in _figures(options, whole, slices) if options.pictures else ():
-            save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
+            for file, content in picture_files({f"{name}{end}": figure}).items():
+                save(file, lambda path, c=content: path.write_bytes(c))
         table = columns(whole, _maps(options, whole))
         save(f"positions{end}.{options.table}", lambda path, t=table: write_table(path, t))
     return files

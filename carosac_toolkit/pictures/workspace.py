@@ -9,8 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.drawing import new_figure, set_space
+from carosac_toolkit.pictures.drawing import (
+    label_in_space,
+    new_figure,
+    put_handles,
+    set_space,
+    set_title,
+)
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, styled
 from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, describe
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
@@ -30,6 +37,13 @@ COLOR_SCALES = {
     Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
     Limit.TOO_LONG: "Purples",
 }  # fmt: skip
+HATCHES = {
+    Limit.NO_PULL: ".....", Limit.SLACK: "/////", Limit.OVERLOAD: "\\\\\\\\\\",
+    Limit.TOO_SHORT: "-----", Limit.TOO_LONG: "|||||", Limit.COLLISION: "xxxxx",
+    Limit.UNSTABLE: "+++++", Limit.TILT: "ooo",
+}  # fmt: skip
+SIDE_BY_SIDE_ASPECT_MAX = 4.0  # sum of width over height of slices up to which they fit in a row
+PANEL_HEIGHT_MAX_INCH = 3.0  # [inch] of the drawn part of a slice
 MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
     ("tilt", "tilt [deg]", 180.0 / np.pi),
@@ -40,31 +54,56 @@ MAPPED_QUANTITIES = (
 )
 
 
+@styled
 def draw_slices(regions: Sequence[Region]) -> Figure:
-    """Draw slices: the margin above, the limit that decides below.
+    """Draw slices: the margin of the tensions, and beside it the limit that decides.
+
+    Each slice has a scale of its own and fills its panel. Slices stand side by side, margin above
+    limit, or below each other if together they are too wide for that.
 
     Args:
         regions: Verdicts on planes; see `slice_grid`.
     """
     planes = [_Plane(region) for region in regions]
-    widths = [plane.width for plane in planes]
-    tall = max(plane.height for plane in planes)
-    unit = min(13.0 / sum(widths), 4.0 / tall)
-    figure = new_figure(3.0 + 0.8 * len(planes) + unit * sum(widths), 2.4 + 2.0 * unit * tall)
-    panels = figure.subplots(2, len(regions), squeeze=False, width_ratios=widths)
     shown = _shown_limits(regions)
     scale = _margin_scale(regions)
+    figure, margins, limits = _slice_panels(planes, len(shown))
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
-        image = _draw_margin(panels[0, k], region, plane, scale)
-        _draw_limits(panels[1, k], region, plane, shown)
-        panels[0, k].set_title(f"{plane.title}\n{region.share:.1%} inside", fontsize=9)
+        image = _draw_margin(margins[k], region, plane, scale)
+        _draw_limits(limits[k], region, plane, shown)
+        margins[k].set_title(f"{plane.title}: {region.share:.0%} inside")
+        limits[k].set_title("limit that decides")
+    beside = {"location": "right", "fraction": 0.08, "pad": 0.02}
     label = "margin of the tensions [N]"
-    figure.colorbar(
-        image, ax=panels, label=label, extend="both", fraction=0.05, shrink=0.45, anchor=(0.0, 1.0)
-    )
+    figure.colorbar(image, ax=margins, label=label, extend="both", **beside)
     _limit_legend(figure, regions[0], shown)
-    figure.suptitle(f"{_title(regions[0])}; black line: end of the workspace", fontsize=11)
+    set_title(figure, f"{_title(regions[0])}; black line: end of the workspace")
     return figure
+
+
+def _slice_panels(planes: Sequence[_Plane], entries: int) -> tuple[Figure, list[Any], list[Any]]:
+    """Make a figure with two panels for each slice, each as wide to high as its slice.
+
+    Args:
+        planes: The slices.
+        entries: Number of limits in the legend.
+
+    Returns:
+        The figure, and the panels of margins and of limits.
+    """
+    aspects = [plane.width / plane.height for plane in planes]
+    below = 0.55 + 0.16 * -(-(entries + 3) // 3)  # [inch] of legend and title
+    if sum(aspects) <= SIDE_BY_SIDE_ASPECT_MAX:
+        room = DOUBLE_COLUMN_INCH - 0.9 - 0.55 * len(planes)
+        height = min(room / sum(aspects), PANEL_HEIGHT_MAX_INCH)
+        figure = new_figure(DOUBLE_COLUMN_INCH, below + 2.0 * (height + 0.6))
+        panels = figure.subplots(2, len(planes), squeeze=False, width_ratios=aspects)
+        return figure, list(panels[0]), list(panels[1])
+    width = 0.5 * (DOUBLE_COLUMN_INCH - 2.0)
+    heights = [width / aspect for aspect in aspects]
+    figure = new_figure(DOUBLE_COLUMN_INCH, below + sum(heights) + 0.6 * len(planes))
+    panels = figure.subplots(len(planes), 2, squeeze=False, height_ratios=heights)
+    return figure, list(panels[:, 0]), list(panels[:, 1])
 
 
 def _title(region: Region) -> str:
@@ -72,6 +111,7 @@ def _title(region: Region) -> str:
     return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
 
 
+@styled
 def draw_maps(region: Region, found: Maps) -> Figure:
     """Draw margin, tilt, stiffness, frequency, sag and cable distance on one slice.
 
@@ -82,9 +122,9 @@ def draw_maps(region: Region, found: Maps) -> Figure:
     plane = _Plane(region)
     wide = plane.width > 1.4 * plane.height
     rows, across = (3, 2) if wide else (2, 3)
-    unit = min(12.0 / (across * plane.width), 11.0 / (rows * plane.height))
-    size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
-    figure = new_figure(max(size[0], 6.0), size[1])
+    width = DOUBLE_COLUMN_INCH / across - 1.1  # [inch] of a panel without its labels
+    height = min(width * plane.height / plane.width, PANEL_HEIGHT_MAX_INCH)
+    figure = new_figure(DOUBLE_COLUMN_INCH, rows * (height + 0.5) + 0.4)
     panels = figure.subplots(rows, across).ravel()
     for axes, (name, label, factor) in zip(panels, MAPPED_QUANTITIES, strict=True):
         record: Any = region.verdicts if name in ("margin", "distance") else found
@@ -92,7 +132,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
         mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
         figure.colorbar(mesh, ax=axes, label=label, shrink=0.9)
         _set_plane(axes, region, plane)
-    figure.suptitle(f"{_title(region)}, {plane.title}; white: outside", fontsize=11)
+    set_title(figure, f"{_title(region)}, {plane.title}; white: outside")
     return figure
 
 
@@ -109,6 +149,7 @@ def _norm(name: str, values: Array) -> Any:
     return Normalize(low, high)
 
 
+@styled
 def draw_space(region: Region) -> Figure:
     """Draw the boundary of a workspace in space, coloured by the limit beyond it.
 
@@ -117,28 +158,42 @@ def draw_space(region: Region) -> Figure:
     """
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    figure = new_figure(10.0, 7.6)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 5.2)
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
     shown = _shown_limits([region])
     colors = [BOX_FACE_COLOR if key == (0, -1) else shown[key] for key in keys]
     if faces:
         axes.add_collection3d(
-            Poly3DCollection(faces, facecolors=colors, edgecolors=(0, 0, 0, 0.12), linewidths=0.2)
+            Poly3DCollection(
+                faces,
+                facecolors=colors,
+                edgecolors=(0, 0, 0, 0.12),
+                linewidths=0.2,
+                rasterized=True,
+            )
         )
     robot = region.robot
-    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=26, marker="s", depthshade=False)
-    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
-        axes.text(*point, f" {name}", fontsize=7)
+    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=14, marker="s", depthshade=False)
     for edge in box_edges(robot):
         axes.plot(*edge.T, color=FRAME_COLOR, lw=0.8, ls="--", zorder=5)
     drawn = np.vstack([robot.exit_points, region.grid.positions])
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
     set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
+    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
+        label_in_space(axes, point, name, drawn.mean(axis=0))
     _limit_legend(figure, region, shown, box=True)
-    figure.suptitle(f"{_title(region)}: {region.volume:.3g} m³, {region.share:.1%} of the box")
+    set_title(
+        figure, f"{_title(region)}: {volume_text(region.volume)}, {region.share:.1%} of the box"
+    )
     return figure
+
+
+def volume_text(volume: float) -> str:
+    """Write a volume [m³] with three digits and no exponent."""
+    digits = max(0, 2 - int(np.floor(np.log10(volume)))) if volume > 0.0 else 0
+    return f"{volume:.{digits}f} m³"
 
 
 BOX_FACE_COLOR = "#dfe5ea"
@@ -164,7 +219,9 @@ class _Plane:
 
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
         """Draw values as coloured cells."""
-        return axes.pcolormesh(self.x, self.y, self.image(values), shading="nearest", **options)
+        return axes.pcolormesh(
+            self.x, self.y, self.image(values), shading="nearest", rasterized=True, **options
+        )
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
@@ -197,7 +254,11 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
     for key, color in shown.items():
         colors[_matches(out, key)] = to_rgb(color)
     picture = colors.reshape(*plane.size, 3).swapaxes(0, 1)
-    axes.pcolormesh(plane.x, plane.y, picture, shading="nearest")
+    axes.pcolormesh(plane.x, plane.y, picture, shading="nearest", rasterized=True)
+    for kind, hatch in HATCHES.items():
+        mask = plane.image((out.limit == kind).astype(float))
+        if mask.any() and min(mask.shape) > 1:
+            axes.contourf(plane.x, plane.y, mask, levels=[0.5, 1.5], colors="none", hatches=[hatch])
     _set_plane(axes, region, plane)
 
 
@@ -217,7 +278,7 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
         color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
-    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=4)
+    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=3)
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
@@ -249,11 +310,14 @@ def _limit_legend(
         Patch(color=BOX_FACE_COLOR, label="face of the box")
         if box
         else Patch(color=INSIDE_COLOR, label="inside"),
-        *(Patch(color=c, label=describe(*key, names)) for key, c in shown.items()),
+        *(
+            Patch(facecolor=c, hatch=HATCHES.get(Limit(key[0])), lw=0, label=describe(*key, names))
+            for key, c in shown.items()
+        ),
         Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"),
         Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    put_handles(figure, handles, [str(handle.get_label()) for handle in handles])
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
