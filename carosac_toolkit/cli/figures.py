@@ -41,8 +41,8 @@ class Options(CommonOptions):
     formats: tuple[str, ...] = PICTURE_FORMATS
     """File formats: `png`, `svg` and `pdf`."""
     style: StyleName = "screen"
-    """`paper`: serif fonts of 8 points. Figures are as wide as one or two columns of an IEEE journal
-    in either style."""
+    """`paper`: serif fonts of 8 points. In either style, figures are as wide as one or two columns
+    of an IEEE journal (3.5 or 7.16 inches)."""
     output: OutputFolder = None
     """Folder for the figures; by default carosac-results/figures."""
 

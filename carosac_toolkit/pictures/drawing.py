@@ -21,7 +21,6 @@ MARKED_SAMPLES = 10  # samples of a line that carry its marker
 TURNED_VIEW_ASPECT_MIN = 2.0  # times as far along y as along x: the view from above is turned
 TITLE_CHARACTERS_PER_INCH = 13.0  # of a title per inch
 LEGEND_COLUMNS_MAX = 6
-LABEL_DISTANCE_POINTS = 6.0  # [points] of the name of a point from it
 UPRIGHT_NUMBERS_MAX = 3  # numbers below an axis up to which they have room side by side
 ENLARGED_ERROR_RATIO = 0.25  # of the extent of a path, to which its errors are enlarged at most
 ENLARGED_ERROR_PERCENTILE = 95.0  # percent of the errors that are at most as large as is enlarged
@@ -29,6 +28,10 @@ ENLARGEMENTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 LOG_AXIS_RATIO = 8.0  # ratio of values from which their axis is logarithmic
 STANDARD_VIEWS = (((0, 1), "from above"), ((0, 2), "from the side, along y"))
 Path = tuple[Array, Mapping[str, Any]]  # points, style
+
+
+class Shades(tuple[Any, ...]):
+    """Handles that stand side by side in one entry of a legend; those of a tuple coincide."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -127,28 +130,6 @@ def draw_in_space(
             axes.plot(*points[:, list(pair)].T, **style)
         set_plane(axes, pair, title, xlim=limits[pair[0]], ylim=limits[pair[1]])
     put_legend(figure, space)
-
-
-def label_in_space(axes: Any, point: Array, text: str, center: Array) -> None:
-    """Write the name of a point in space beside it, on the side away from the center.
-
-    Args:
-        axes: View in three dimensions, whose limits and direction are set.
-        point: The point [m], shape (3,).
-        text: Its name.
-        center: Where most of the picture is [m], shape (3,).
-    """
-    from mpl_toolkits.mplot3d.proj3d import proj_transform
-
-    matrix = axes.get_proj()
-    place, middle = (np.array(proj_transform(*p, matrix)[:2]) for p in (point, center))
-    away = (place - middle) / max(float(np.linalg.norm(place - middle)), 1e-9)
-    away = away if np.any(away) else np.array([0.0, 1.0])
-    axes.annotate(
-        text, place, xytext=tuple(LABEL_DISTANCE_POINTS * away), textcoords="offset points",
-        ha="left" if away[0] > 0.3 else "right" if away[0] < -0.3 else "center",
-        va="bottom" if away[1] > 0.0 else "top", fontsize=7,
-    )  # fmt: skip
 
 
 def set_plane(axes: Any, pair: tuple[int, int], title: str, **limits: Any) -> None:
@@ -301,10 +282,14 @@ def put_marks(figure: Figure, looks: Mapping[str, Series]) -> None:
 
 def put_handles(figure: Figure, handles: Iterable[Any], labels: Sequence[str]) -> None:
     """Put a legend below the figure, in as many columns as it has room for."""
-    known = list(handles)
+    from matplotlib.legend_handler import HandlerTuple
+
+    known, side_by_side = list(handles), {Shades: HandlerTuple(ndivide=None, pad=0.0)}
     room = 0.98 * figure.bbox.width
     for columns in range(max(1, min(len(labels), LEGEND_COLUMNS_MAX)), 0, -1):
-        legend = figure.legend(known, labels, loc="outside lower center", ncols=columns)
+        legend = figure.legend(
+            known, labels, loc="outside lower center", ncols=columns, handler_map=side_by_side
+        )
         if columns == 1 or legend.get_window_extent().width <= room:
             return
         legend.remove()

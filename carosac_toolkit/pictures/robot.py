@@ -10,13 +10,13 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
     ENLARGEMENTS,
-    label_in_space,
     new_figure,
     put_legend,
     set_plane,
     set_space,
     set_title,
 )
+from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.pulleys import CableDrawing, draw_cables
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, SERIES_COLORS, styled
 from carosac_toolkit.robot.robot import Robot
@@ -69,9 +69,15 @@ def draw_robot(report: RobotReport) -> Figure:
     set_title(
         figure,
         f"{robot.name}: {robot.n} cables, {report.constraint}"
-        f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg; {answer}",
+        f"{', suspended' if report.suspended else ''}",
+        f"platform {robot.mass:.3g} kg; {answer}",
     )
     put_legend(figure, space)
+    span_max = float((limits[:, 1] - limits[:, 0]).max())
+    curves = [curve for c in cables for curve in (c.free, c.wheel, c.incoming) if len(curve)]
+    box = [dense(*edge) for edge in box_edges(robot)]
+    names = exit_labels(robot, 0.08 * span_max)
+    name_points(space, names, [*curves, *box, corners, robot.exit_points])
     return figure
 
 
@@ -137,10 +143,6 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         depthshade=False,
     )
     set_space(axes, limits, elev=20.0, azim=-52.0)
-    span_max = (limits[:, 1] - limits[:, 0]).max()
-    center = robot.exit_points.mean(axis=0)
-    for name, point in exit_labels(robot, 0.08 * span_max):
-        label_in_space(axes, point, name, center)
 
 
 def _draw_pulleys(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 PICTURE_DPI = 200  # of PNG, and of what is rasterized in SVG and PDF
+LAYOUT_PASSES = 2  # sizes of panels with equal scales are only known after the first
 _HASH_SALT = "carosac"  # ids in SVG follow from it and the content; by default they are random
 _METADATA: Mapping[str, Mapping[str, Any]] = {
     "svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {},
@@ -44,7 +45,8 @@ def picture_files(
     """
     files: dict[str, bytes] = {}
     for name, figure in figures.items():
-        figure.draw_without_rendering()
+        for _ in range(LAYOUT_PASSES):
+            figure.draw_without_rendering()
         figure.set_layout_engine("none")
         files |= {f"{name}.{end}": rendered(figure, end) for end in formats}
     return files
@@ -56,7 +58,7 @@ def check_picture(option: str, path: Path | None) -> None:
     Raises:
         InvalidField: It cannot be written, or its suffix is that of no format.
     """
-    for file in _files_of(path) if path is not None else ():
+    for file in picture_paths(path) if path is not None else ():
         check_writable(option, file, tuple(f".{name}" for name in PICTURE_FORMATS))
 
 
@@ -66,7 +68,7 @@ def save_picture(figure: Figure, path: Path) -> list[Path]:
     Returns:
         The files; each appears whole or not at all.
     """
-    files = _files_of(path)
+    files = picture_paths(path)
     formats = [file.suffix.lower().removeprefix(".") for file in files]
     contents = picture_files({path.stem: figure}, formats)
     for file, content in zip(files, contents.values(), strict=True):
@@ -75,6 +77,11 @@ def save_picture(figure: Figure, path: Path) -> list[Path]:
     return files
 
 
-def _files_of(path: Path) -> list[Path]:
-    """Return the files that a picture is written to."""
+def picture_paths(path: Path) -> list[Path]:
+    """Return the files that a picture is written to: one with a suffix, all formats without."""
     return [path] if path.suffix else [path.with_suffix(f".{end}") for end in PICTURE_FORMATS]
+
+
+def png(figure: Figure) -> bytes:
+    """Render a figure as PNG alone."""
+    return rendered(figure, "png")

@@ -129,8 +129,9 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
     def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
         from matplotlib import rc_context, rcParamsDefault
 
-        plain = {k: v for k, v in rcParamsDefault.items() if not k.startswith("backend")}
-        with rc_context({**plain, **STYLES[_current.get()]}):
+        settings: dict[Any, Any] = dict(rcParamsDefault)
+        settings.update(STYLES[_current.get()])
+        with rc_context({k: v for k, v in settings.items() if not k.startswith("backend")}):
             return draw(*args, **kwargs)
 
     return drawn

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
-    label_in_space,
+    Shades,
     new_figure,
     put_handles,
     set_space,
     set_title,
 )
+from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, styled
-from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, describe
+from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, cable_of, words_of
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
@@ -43,6 +44,7 @@ HATCHES = {
     Limit.UNSTABLE: "+++++", Limit.TILT: "ooo",
 }  # fmt: skip
 SIDE_BY_SIDE_ASPECT_MAX = 4.0  # sum of width over height of slices up to which they fit in a row
+PANEL_ROOM_RATIO = 0.03  # of the longer side of a slice, around it
 PANEL_HEIGHT_MAX_INCH = 3.0  # [inch] of the drawn part of a slice
 MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
@@ -67,17 +69,24 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
     planes = [_Plane(region) for region in regions]
     shown = _shown_limits(regions)
     scale = _margin_scale(regions)
-    figure, margins, limits = _slice_panels(planes, len(shown))
+    figure, margins, limits = _slice_panels(planes, len(_by_words(shown)))
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
         image = _draw_margin(margins[k], region, plane, scale)
         _draw_limits(limits[k], region, plane, shown)
-        margins[k].set_title(f"{plane.title}: {region.share:.0%} inside")
-        limits[k].set_title("limit that decides")
-    beside = {"location": "right", "fraction": 0.08, "pad": 0.02}
+        margins[k].set_title(f"{plane.title}\n{region.share:.1%} inside")
     label = "margin of the tensions [N]"
-    figure.colorbar(image, ax=margins, label=label, extend="both", **beside)
-    _limit_legend(figure, regions[0], shown)
-    set_title(figure, f"{_title(regions[0])}; black line: end of the workspace")
+    panels = [*margins, *limits]
+    figure.colorbar(
+        image, ax=panels, label=label, extend="both", fraction=0.06, pad=0.02, aspect=40
+    )
+    exits = any(plane.shows(regions[0].robot.exit_points) for plane in planes)
+    _limit_legend(figure, regions[0], shown, exits=exits)
+    first, second = ("left", "right") if _below_each_other(planes) else ("above", "below")
+    set_title(
+        figure,
+        _title(regions[0]),
+        f"{first}: margin of the tensions; {second}: deciding limit; black line: workspace's end",
+    )
     return figure
 
 
@@ -86,24 +95,29 @@ def _slice_panels(planes: Sequence[_Plane], entries: int) -> tuple[Figure, list[
 
     Args:
         planes: The slices.
-        entries: Number of limits in the legend.
+        entries: Number of kinds of limits in the legend.
 
     Returns:
         The figure, and the panels of margins and of limits.
     """
-    aspects = [plane.width / plane.height for plane in planes]
-    below = 0.55 + 0.16 * -(-(entries + 3) // 3)  # [inch] of legend and title
-    if sum(aspects) <= SIDE_BY_SIDE_ASPECT_MAX:
-        room = DOUBLE_COLUMN_INCH - 0.9 - 0.55 * len(planes)
-        height = min(room / sum(aspects), PANEL_HEIGHT_MAX_INCH)
-        figure = new_figure(DOUBLE_COLUMN_INCH, below + 2.0 * (height + 0.6))
-        panels = figure.subplots(2, len(planes), squeeze=False, width_ratios=aspects)
-        return figure, list(panels[0]), list(panels[1])
-    width = 0.5 * (DOUBLE_COLUMN_INCH - 2.0)
-    heights = [width / aspect for aspect in aspects]
-    figure = new_figure(DOUBLE_COLUMN_INCH, below + sum(heights) + 0.6 * len(planes))
-    panels = figure.subplots(len(planes), 2, squeeze=False, height_ratios=heights)
-    return figure, list(panels[:, 0]), list(panels[:, 1])
+    aspects = [plane.aspect for plane in planes]
+    below = 0.8 + 0.16 * (entries + 2 if entries else 1)  # [inch] of title and legend
+    if _below_each_other(planes):
+        width = 0.5 * (DOUBLE_COLUMN_INCH - 2.0)
+        heights = [width / aspect for aspect in aspects]
+        figure = new_figure(DOUBLE_COLUMN_INCH, below + sum(heights) + 0.7 * len(planes))
+        panels = figure.subplots(len(planes), 2, squeeze=False, height_ratios=heights)
+        return figure, list(panels[:, 0]), list(panels[:, 1])
+    room = DOUBLE_COLUMN_INCH - 0.9 - 0.55 * len(planes)
+    height = min(room / sum(aspects), PANEL_HEIGHT_MAX_INCH)
+    figure = new_figure(DOUBLE_COLUMN_INCH, below + 2.0 * (height + 0.5))
+    panels = figure.subplots(2, len(planes), squeeze=False, width_ratios=aspects)
+    return figure, list(panels[0]), list(panels[1])
+
+
+def _below_each_other(planes: Sequence[_Plane]) -> bool:
+    """Return whether slices stand below each other, because side by side they would be flat."""
+    return sum(plane.aspect for plane in planes) > SIDE_BY_SIDE_ASPECT_MAX
 
 
 def _title(region: Region) -> str:
@@ -158,7 +172,8 @@ def draw_space(region: Region) -> Figure:
     """
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    figure = new_figure(DOUBLE_COLUMN_INCH, 5.2)
+    entries = len(_by_words(_shown_limits([region])))
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.0 + 0.16 * (entries + 2 if entries else 1))
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
     shown = _shown_limits([region])
@@ -181,12 +196,12 @@ def draw_space(region: Region) -> Figure:
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
     set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
-    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
-        label_in_space(axes, point, name, drawn.mean(axis=0))
     _limit_legend(figure, region, shown, box=True)
-    set_title(
-        figure, f"{_title(region)}: {volume_text(region.volume)}, {region.share:.1%} of the box"
-    )
+    size = f"{volume_text(region.volume)}, {region.share:.1%} of the box"
+    set_title(figure, f"{_title(region)}: {size}")
+    names = exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max()))
+    box = [dense(*edge) for edge in box_edges(robot)]
+    name_points(axes, names, [*faces, *box, robot.exit_points])
     return figure
 
 
@@ -210,8 +225,22 @@ class _Plane:
         self.x, self.y = region.grid.axes[self.right], region.grid.axes[self.up]
         self.size = (shape[self.right], shape[self.up])
         self.width, self.height = (float(max(np.ptp(x), 1e-3)) for x in (self.x, self.y))
+        left, right = self.ends(self.x)
+        low, high = self.ends(self.y)
+        self.aspect = (right - left) / (high - low)
         value = region.grid.axes[across][0]
         self.title = f"{'xyz'[across]} = {value:.4g} m"
+
+    def ends(self, coordinates: Array) -> tuple[float, float]:
+        """Return the ends of an axis that shows coordinates, with a little room."""
+        room = PANEL_ROOM_RATIO * max(self.width, self.height)
+        return float(coordinates[0]) - room, float(coordinates[-1]) + room
+
+    def shows(self, points: Array) -> bool:
+        """Return whether any of some points in W [m], shape (n, 3), is on an axis of the panel."""
+        (left, right), (low, high) = self.ends(self.x), self.ends(self.y)
+        x, y = points[:, self.right], points[:, self.up]
+        return bool(((x >= left) & (x <= right) & (y >= low) & (y <= high)).any())
 
     def image(self, values: Array) -> Array:
         """Return values of all positions as an image."""
@@ -219,9 +248,8 @@ class _Plane:
 
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
         """Draw values as coloured cells."""
-        return axes.pcolormesh(
-            self.x, self.y, self.image(values), shading="nearest", rasterized=True, **options
-        )
+        options = {"shading": "nearest", "rasterized": True, **options}
+        return axes.pcolormesh(self.x, self.y, self.image(values), **options)
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
@@ -269,9 +297,13 @@ def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
-    """Set limits, labels, exit points and the workspace box of a plane."""
+    """Set limits, labels, exit points and the workspace box of a plane.
+
+    The panel ends a little beyond the slice; exit points that are farther away are not shown.
+    """
     robot = region.robot
     axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
+    axes.set(xlim=plane.ends(plane.x), ylim=plane.ends(plane.y))
     low, high = robot.workspace_min, robot.workspace_max
     corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
     axes.plot(
@@ -299,25 +331,47 @@ def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
 
 
 def _limit_legend(
-    figure: Figure, region: Region, shown: dict[tuple[int, int], Any], box: bool = False
+    figure: Figure,
+    region: Region,
+    shown: dict[tuple[int, int], Any],
+    *,
+    box: bool = False,
+    exits: bool = True,
 ) -> None:
-    """Name the colours of the limits."""
+    """Name the colours of the limits, one shade for each cable, and the other marks.
+
+    Args:
+        figure: The figure.
+        region: Verdicts whose robot it is.
+        shown: Colour of each limit and cable.
+        box: True if faces of the box are drawn, False if positions inside are.
+        exits: True if exit points are drawn.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    names = region.robot.cable_names
-    handles = [
-        Patch(color=BOX_FACE_COLOR, label="face of the box")
-        if box
-        else Patch(color=INSIDE_COLOR, label="inside"),
-        *(
-            Patch(facecolor=c, hatch=HATCHES.get(Limit(key[0])), lw=0, label=describe(*key, names))
-            for key, c in shown.items()
-        ),
-        Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"),
-        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file"),
-    ]
-    put_handles(figure, handles, [str(handle.get_label()) for handle in handles])
+    first = (BOX_FACE_COLOR, "face of the box") if box else (INSIDE_COLOR, "inside")
+    marks: list[tuple[Any, str]] = [(Patch(facecolor=first[0]), first[1])]
+    for words, keys in _by_words(shown).items():
+        hatch = HATCHES.get(Limit(keys[0][0]))
+        patches = Shades(Patch(facecolor=shown[key], hatch=hatch, lw=0) for key in keys)
+        cables = [cable_of(*key, region.robot.cable_names) for key in keys]
+        named = ", ".join(name for name in cables if name is not None)
+        marks.append((patches, f"cable {words}: {named}" if named else words))
+    if exits:
+        square = Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4)
+        marks.append((square, "exit points"))
+    dashes = Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--")
+    marks.append((dashes, "box of the robot file"))
+    put_handles(figure, [mark for mark, _ in marks], [text for _, text in marks])
+
+
+def _by_words(shown: Iterable[tuple[int, int]]) -> dict[str, list[tuple[int, int]]]:
+    """Return limits and cables by the words for the limit."""
+    groups: dict[str, list[tuple[int, int]]] = {}
+    for key in shown:
+        groups.setdefault(words_of(*key), []).append(key)
+    return groups
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:

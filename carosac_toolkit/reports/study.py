@@ -44,9 +44,9 @@ STUDY_CAPTIONS = {
     "score.",
     "regions": "Tracking error in the centre (the middle half of each side) and near the boundary "
     "of the workspace box, over all cases.",
-    "estimation": "Distribution of the estimation error over the samples of all trajectories, first "
-    "seed, by estimator; where it has a covariance, also whether its errors are as large as it "
-    "says.",
+    "estimation": "Distribution of the estimation error over the samples of all trajectories, "
+    "first seed, by estimator; where it has a covariance, also whether its errors are as large as "
+    "it says.",
 }
 
 
