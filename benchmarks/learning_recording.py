@@ -230,7 +230,7 @@ def compared(scene: Scene, policies: Sequence[Policy], target: Array, name: str)
     shares, over_time = (pattern.format(name) for pattern in (SHARES, OVER_TIME))
     return (
         f"{table(header, [*rows, *paper])}\n\n"
-        f"![RMSE of the stretches]({bells})\n\n![Error over time]({over_time})"
+        f"![RMSE of the stretches]({shares})\n\n![Error over time]({over_time})"
     )
 
 

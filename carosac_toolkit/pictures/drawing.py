@@ -95,7 +95,7 @@ def set_space(
     axes.view_init(elev=elev, azim=azim)
     for axis, name, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", spans, strict=True):
         axis.set_label_text(f"{name} [m]")
-        axis.labelpad = 6.0 * span / spans.max() - 6.0
+        axis.labelpad = 6.0 * span / spans.max() - 1.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(pad=0.0)
 

@@ -40,6 +40,8 @@ DRIVE_COMMAND = (
     "carosac compare --controllers kinematic_solver td3 --estimators dynamic_estimator "
     "--suites lengths+imu --trajectories minimum_snap --speed 2.08 --acceleration 2 --output DIR"
 )
+BELL_LINE_RATIO = 0.11  # of the height of a bell: between the ticks of two groups below it
+BELL_LINE_INCH = 0.14  # [inch] between the same
 LENGTH_AXIS_PERCENTILE = 99.0  # percent of the values that the axis of lengths shows
 
 
@@ -102,8 +104,9 @@ def draw_gaussians(results: StudyResults) -> Figure:
 
     It reaches below zero where cases scatter much; other pictures show the distribution itself.
     """
-    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
     groups = groups_of(results)
+    panel = BELL_LINE_INCH * (1.0 / BELL_LINE_RATIO + len(groups) + 1.0)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 2.0 * (panel + 0.6) + 0.5 + 0.1 * len(groups))
     panels = figure.subplots(2, 2).ravel()
     columns = {
         name: [np.array([row[f"tracking_rmse_{name}_m"] for row in tracked(group.rows)], float)
@@ -114,10 +117,12 @@ def draw_gaussians(results: StudyResults) -> Figure:
     for axes, (name, some) in zip(panels, columns.items(), strict=True):
         for place, (group, values) in enumerate(zip(groups, some, strict=True)):
             if len(values):
-                _bell(axes, factor * values, -0.11 * (place + 1), group.look)
+                _bell(axes, factor * values, -BELL_LINE_RATIO * (place + 1), group.look)
         axes.set_title(name)
         axes.set(
-            xlabel=f"RMSE of a case [{unit}]", yticks=[], ylim=(-0.11 * (len(groups) + 0.8), 1.1)
+            xlabel=f"RMSE of a case [{unit}]",
+            yticks=[],
+            ylim=(-BELL_LINE_RATIO * (len(groups) + 0.8), 1.1),
         )
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         axes.grid(axis="x", alpha=0.25)

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS
+from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
 from learned.pictures.accuracy import (
     error_histograms,
     error_violins,
