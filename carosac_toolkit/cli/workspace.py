@@ -100,7 +100,9 @@ def run(options: Options) -> CommandResult:
         regions[model] = (whole, slices)
     _print(regions, lower, upper)
     files = _write(options, folder, regions)
-    print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
+    shown = [file.name for file in files if file.suffix not in (".svg", ".pdf")]
+    others = ", pictures also as SVG and PDF" if options.pictures else ""
+    print(f"\n{len(shown)} files in {folder}: {', '.join(shown)}{others}")
     first = regions[models[0]][0]
     data = {
         "robot": robot.name,

@@ -225,7 +225,7 @@ def _enlarged(example: Example, factor: int) -> Array:
 def draw_regions(results: StudyResults) -> Figure:
     """Draw the tracking error in the centre of the workspace box and near its boundary."""
     groups = groups_of(results)
-    figure = new_figure(SINGLE_COLUMN_INCH, 3.0)
+    figure = new_figure(SINGLE_COLUMN_INCH, 2.6 + 0.15 * len(groups))
     axes = figure.subplots()
     values = {group.number: _by_region(group) for group in groups}
     unit, factor = unit_of(values.values())
@@ -237,6 +237,7 @@ def draw_regions(results: StudyResults) -> Figure:
             color=look.color, ms=6, label=group.legend,
         )  # fmt: skip
     if spans_decades(np.concatenate([*values.values(), np.zeros(0)])):
+        axes.margins(y=0.1)
         set_log(axes, "y")
     else:
         axes.set_ylim(bottom=0.0)

@@ -60,8 +60,8 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
         axes.remove()
     set_title(
         figure,
-        "Error over that of the baseline on the same draws; line: 95 % interval;",
-        f"full mark: Holm-corrected p ≤ {SIGNIFICANCE_LEVEL:g}; right: cases won",
+        "Error over the baseline's, 95 % interval;",
+        f"full: p ≤ {SIGNIFICANCE_LEVEL:g} (Holm); right: cases won",
     )
     put_legend(figure, panels[0])
     return figure

@@ -32,8 +32,9 @@ from carosac_toolkit.studies.run.robot_copies import copy_of
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
 STUDY_CAPTIONS = {
-    "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
-    "1 is better.",
+    "paired": "Every error over that of the baseline on the same draws, with its 95 % interval: "
+    "left of 1 is better. Full marks: the Holm-corrected p is at most 0.05; on the right: cases in "
+    "which the error was smaller.",
     "paths": "One case: path of the platform origin and its reference, errors enlarged.",
     "error_over_time": "One case: tracking error per axis; grey: the reference rests; a cross: "
     "where a case that diverged leaves the panel, or ends.",

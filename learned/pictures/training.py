@@ -141,7 +141,7 @@ def learning_curves(
     panels[-1].set_xlabel("environment steps [-]")
     panels[-1].xaxis.set_major_formatter(_thousands)
     figure.align_ylabels(panels)
-    set_title(figure, "Learning curves; " + "; ".join(_legend(curves)))
+    set_title(figure, "Learning curves", *_legend(curves))
     put_legend(figure, panels[0])
     return save(figure, path)
 
