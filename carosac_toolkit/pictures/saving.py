@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 PICTURE_DPI = 200  # of PNG, and of what is rasterized in SVG and PDF
-LAYOUT_PASSES = 2  # sizes of panels with equal scales are only known after the first
+TRUETYPE = 42  # kind of fonts in PDF: journals refuse those of kind 3, the default
 _HASH_SALT = "carosac"  # ids in SVG follow from it and the content; by default they are random
 _METADATA: Mapping[str, Mapping[str, Any]] = {
     "svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {},
@@ -26,7 +26,7 @@ def rendered(figure: Figure, format_name: str) -> bytes:
     from matplotlib import rc_context
 
     stream = io.BytesIO()
-    with rc_context({"svg.hashsalt": _HASH_SALT, "pdf.fonttype": 42}):
+    with rc_context({"svg.hashsalt": _HASH_SALT, "pdf.fonttype": TRUETYPE}):
         figure.savefig(stream, format=format_name, dpi=PICTURE_DPI, metadata=_METADATA[format_name])
     return stream.getvalue()
 
@@ -37,7 +37,7 @@ def picture_files(
     """Render figures, by default in all formats.
 
     Args:
-        figures: Figures by name. Their layout is computed once and then kept.
+        figures: Figures by name. Their layout is computed for the first format and then kept.
         formats: Some of `PICTURE_FORMATS`.
 
     Returns:
@@ -45,10 +45,11 @@ def picture_files(
     """
     files: dict[str, bytes] = {}
     for name, figure in figures.items():
-        for _ in range(LAYOUT_PASSES):
-            figure.draw_without_rendering()
-        figure.set_layout_engine("none")
-        files |= {f"{name}.{end}": rendered(figure, end) for end in formats}
+        if any(axes.get_aspect() != "auto" for axes in figure.axes):
+            figure.draw_without_rendering()  # sizes of panels with equal scales settle in two steps
+        for end in formats:
+            files[f"{name}.{end}"] = rendered(figure, end)
+            figure.set_layout_engine("none")  # as it is in the first format
     return files
 
 
