@@ -97,7 +97,7 @@ def test_the_search_for_covered_texts_finds_them():
     axes.text(0.5, 0.5, "on the line", ha="center", va="center")
     axes.text(0.5, 0.5, "on the text", ha="center", va="center")
     axes.text(0.0, 1.0, "free")
-    axes.text(0.95, 0.1, "beyond the edge of the figure")
+    axes.text(0.95, 0.1, "beyond the edge of the figure", in_layout=False)
     laid_out(figure)
     assert ("on the line", "on the text") in overlapping_texts(figure)
     assert set(texts_on_data(figure)) == {"on the line", "on the text"}

@@ -3,7 +3,7 @@ import pytest
 
 from learned.pictures.reward_figure import paper_reward_terms
 from learned.rewards import PAPER_SAG
-from tests.pictures.layout import cut_texts, overlapping_texts, texts_on_data
+from tests.pictures.layout import cut_texts, laid_out, overlapping_texts, texts_on_data
 
 
 def test_the_figure_has_the_terms_of_the_paper_with_the_values_of_its_formulas(tmp_path):
@@ -22,5 +22,5 @@ def test_the_figure_has_the_terms_of_the_paper_with_the_values_of_its_formulas(t
 
 
 def test_nothing_in_the_figure_is_cut_off_or_covered(tmp_path):
-    figure = paper_reward_terms(tmp_path / "terms.png")
+    figure = laid_out(paper_reward_terms(tmp_path / "terms.png"))
     assert cut_texts(figure) == overlapping_texts(figure) == texts_on_data(figure) == []
