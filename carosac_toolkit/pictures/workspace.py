@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,39 +10,29 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
-    Shades,
     new_figure,
-    put_handles,
     set_space,
     set_title,
 )
 from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, styled
-from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, cable_of, words_of
+from carosac_toolkit.pictures.workspace_limits import (
+    BOX_FACE_COLOR,
+    FRAME_COLOR,
+    HATCHES,
+    INSIDE_COLOR,
+    by_words,
+    limit_legend,
+    shown_limits,
+)
+from carosac_toolkit.workspace.limits import CABLE_LIMITS
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INSIDE_COLOR = "#eef1f4"
-FRAME_COLOR = "#202020"
-PLAIN_COLORS = {
-    Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
-    Limit.NO_EQUILIBRIUM: "#5b6470",
-    Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
-}  # fmt: skip
-COLOR_SCALES = {
-    Limit.NO_EQUILIBRIUM: "Greys",
-    Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
-    Limit.TOO_LONG: "Purples",
-}  # fmt: skip
-HATCHES = {
-    Limit.NO_PULL: ".....", Limit.SLACK: "/////", Limit.OVERLOAD: "\\\\\\\\\\",
-    Limit.TOO_SHORT: "-----", Limit.TOO_LONG: "|||||", Limit.COLLISION: "xxxxx",
-    Limit.UNSTABLE: "+++++", Limit.TILT: "ooo",
-}  # fmt: skip
 SIDE_BY_SIDE_ASPECT_MAX = 4.0  # sum of width over height of slices up to which they fit in a row
 PANEL_ROOM_RATIO = 0.03  # of the longer side of a slice, around it
 PANEL_HEIGHT_MAX_INCH = 3.0  # [inch] of the drawn part of a slice
@@ -67,9 +57,9 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
         regions: Verdicts on planes; see `slice_grid`.
     """
     planes = [_Plane(region) for region in regions]
-    shown = _shown_limits(regions)
+    shown = shown_limits(regions)
     scale = _margin_scale(regions)
-    figure, margins, limits = _slice_panels(planes, len(_by_words(shown)))
+    figure, margins, limits = _slice_panels(planes, len(by_words(shown)))
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
         image = _draw_margin(margins[k], region, plane, scale)
         _draw_limits(limits[k], region, plane, shown)
@@ -80,7 +70,7 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
         image, ax=panels, label=label, extend="both", fraction=0.06, pad=0.02, aspect=40
     )
     exits = any(plane.shows(regions[0].robot.exit_points) for plane in planes)
-    _limit_legend(figure, regions[0], shown, exits=exits)
+    limit_legend(figure, regions[0], shown, exits=exits)
     first, second = ("left", "right") if _below_each_other(planes) else ("above", "below")
     set_title(
         figure,
@@ -172,11 +162,11 @@ def draw_space(region: Region) -> Figure:
     """
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    entries = len(_by_words(_shown_limits([region])))
+    entries = len(by_words(shown_limits([region])))
     figure = new_figure(DOUBLE_COLUMN_INCH, 4.0 + 0.16 * (entries + 2 if entries else 1))
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
-    shown = _shown_limits([region])
+    shown = shown_limits([region])
     colors = [BOX_FACE_COLOR if key == (0, -1) else shown[key] for key in keys]
     if faces:
         axes.add_collection3d(
@@ -196,7 +186,7 @@ def draw_space(region: Region) -> Figure:
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
     set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
-    _limit_legend(figure, region, shown, box=True)
+    limit_legend(figure, region, shown, box=True)
     size = f"{volume_text(region.volume)}, {region.share:.1%} of the box"
     set_title(figure, f"{_title(region)}: {size}")
     names = exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max()))
@@ -209,9 +199,6 @@ def volume_text(volume: float) -> str:
     """Write a volume [m³] with three digits and no exponent."""
     digits = max(0, 2 - int(np.floor(np.log10(volume)))) if volume > 0.0 else 0
     return f"{volume:.{digits}f} m³"
-
-
-BOX_FACE_COLOR = "#dfe5ea"
 
 
 class _Plane:
@@ -311,67 +298,6 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
         color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
     axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=3)
-
-
-def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
-    """Return a colour for each limit, and cable, that excludes positions."""
-    from matplotlib import colormaps
-
-    keys = {(limit, cable if limit in CABLE_LIMITS else -1)
-            for region in regions for limit, cable, _ in region.causes()}  # fmt: skip
-    n = regions[0].robot.n
-    shown: dict[tuple[int, int], Any] = {}
-    for limit, cable in sorted(keys):
-        kind = Limit(limit)
-        if kind in COLOR_SCALES and cable >= 0:
-            shown[limit, cable] = colormaps[COLOR_SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
-        else:
-            shown[limit, cable] = PLAIN_COLORS[kind]
-    return shown
-
-
-def _limit_legend(
-    figure: Figure,
-    region: Region,
-    shown: dict[tuple[int, int], Any],
-    *,
-    box: bool = False,
-    exits: bool = True,
-) -> None:
-    """Name the colours of the limits, one shade for each cable, and the other marks.
-
-    Args:
-        figure: The figure.
-        region: Verdicts whose robot it is.
-        shown: Colour of each limit and cable.
-        box: True if faces of the box are drawn, False if positions inside are.
-        exits: True if exit points are drawn.
-    """
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    first = (BOX_FACE_COLOR, "face of the box") if box else (INSIDE_COLOR, "inside")
-    marks: list[tuple[Any, str]] = [(Patch(facecolor=first[0]), first[1])]
-    for words, keys in _by_words(shown).items():
-        hatch = HATCHES.get(Limit(keys[0][0]))
-        patches = Shades(Patch(facecolor=shown[key], hatch=hatch, lw=0) for key in keys)
-        cables = [cable_of(*key, region.robot.cable_names) for key in keys]
-        named = ", ".join(name for name in cables if name is not None)
-        marks.append((patches, f"cable {words}: {named}" if named else words))
-    if exits:
-        square = Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4)
-        marks.append((square, "exit points"))
-    dashes = Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--")
-    marks.append((dashes, "box of the robot file"))
-    put_handles(figure, [mark for mark, _ in marks], [text for _, text in marks])
-
-
-def _by_words(shown: Iterable[tuple[int, int]]) -> dict[str, list[tuple[int, int]]]:
-    """Return limits and cables by the words for the limit."""
-    groups: dict[str, list[tuple[int, int]]] = {}
-    for key in shown:
-        groups.setdefault(words_of(*key), []).append(key)
-    return groups
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
