@@ -73,13 +73,8 @@ SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "ru
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
     "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
-<<<<<<< HEAD
     "--sensors lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is a "
     "command of the overview",
-=======
-    "--suites lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is the "
-    "first command of README",
->>>>>>> h29_site
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
     "carosac train --preset residual --device cuda --set td3.environments=1024 --set "

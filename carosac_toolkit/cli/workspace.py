@@ -97,7 +97,9 @@ def run(options: Options) -> CommandResult:
         regions[model] = (whole, slices)
     _print(regions, lower, upper)
     files = _write(options, folder, regions)
-    print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
+    shown = [file.name for file in files if file.suffix not in (".svg", ".pdf")]
+    others = ", pictures also as SVG and PDF" if options.pictures else ""
+    print(f"\n{len(shown)} files in {folder}: {', '.join(shown)}{others}")
     first = regions[models[0]][0]
     data = {
         "robot": robot.name,
@@ -277,6 +279,8 @@ def _write(
     options: Options, folder: Path, regions: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
+    from carosac_toolkit.pictures.saving import picture_files
+
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
@@ -288,7 +292,8 @@ def _write(
     for model, (whole, slices) in regions.items():
         end = f"-{model}" if len(regions) == 2 else ""
         for name, figure in _figures(options, whole, slices) if options.pictures else ():
-            save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
+            for file, content in picture_files({f"{name}{end}": figure}).items():
+                save(file, lambda path, c=content: path.write_bytes(c))
         table = columns(whole, _maps(options, whole))
         save(f"positions{end}.{options.table}", lambda path, t=table: write_table(path, t))
     return files

@@ -20,9 +20,12 @@ def test_pictures_are_drawn(tmp_path):
     status, out = run(tmp_path, "cogiro", *words)
     assert status == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {"slices.png", "space.png", "maps_z_2.png", "positions.csv"}
-    for name in names - {"positions.csv"}:
-        assert (out / name).read_bytes().startswith(b"\x89PNG")
+    ends = ("png", "svg", "pdf")
+    pictures = {f"{name}.{end}" for name in ("slices", "space", "maps_z_2") for end in ends}
+    assert names == {*pictures, "positions.csv"}
+    begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+    for name in pictures:
+        assert (out / name).read_bytes().startswith(begins[name.rpartition(".")[2]])
 
 
 def test_table_numbers_and_words(tmp_path, capsys):
