@@ -11,9 +11,9 @@ import pytest
 
 import carosac_toolkit
 from carosac_toolkit.base.yaml import load_yaml
+from carosac_toolkit.physics.kernel_modules import kernel_modules
 from carosac_toolkit.robot.file import parse_robot
 from tests.programs import run_here
-from tests.warm_kernels import kernel_modules
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (

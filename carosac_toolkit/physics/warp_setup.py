@@ -16,6 +16,7 @@ NOTICE_DELAY_S = 1.0  # [s] of loading before the user is told
 
 _loaded: set[tuple[str, str]] = set()
 _started: list[bool] = []
+_noticing: list[str] = []
 
 
 @contextmanager
@@ -55,6 +56,22 @@ def initialise() -> None:
     _started.append(True)
 
 
+@contextmanager
+def notice(text: str) -> Iterator[None]:
+    """Print a line on standard error if what is inside takes a while; an outer line is enough."""
+    timer = threading.Timer(NOTICE_DELAY_S, print, [text], {"file": sys.stderr, "flush": True})
+    timer.daemon = True
+    outermost = not _noticing
+    _noticing.append(text)
+    if outermost:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        _noticing.pop()
+
+
 def load(module: ModuleType, device: str = "cpu") -> None:
     """Compile the kernels of a module, or fetch them from Warp's cache.
 
@@ -69,12 +86,6 @@ def load(module: ModuleType, device: str = "cpu") -> None:
         return
     initialise()
     text = f"Compiling {module.__name__} for {device}, once; later runs use the cache ..."
-    notice = threading.Timer(NOTICE_DELAY_S, print, [text], {"file": sys.stderr, "flush": True})
-    notice.daemon = True
-    notice.start()
-    try:
-        with _quiet():
-            wp.load_module(module, device=device)
-    finally:
-        notice.cancel()
+    with notice(text), _quiet():
+        wp.load_module(module, device=device)
     _loaded.add((module.__name__, device))

@@ -135,9 +135,10 @@ def table(
 
 
 def picture(image: bytes, caption: str) -> str:
-    """Embed one picture."""
+    """Embed one picture, PNG or WebP."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
-    source = f"data:image/png;base64,{text}"
+    kind = "webp" if image[8:12] == b"WEBP" else "png"
+    source = f"data:image/{kind};base64,{text}"
     return (
         f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
     )
