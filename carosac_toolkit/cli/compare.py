@@ -76,7 +76,7 @@ def run(options: Options) -> CommandResult:
     animation = animation_of(results, options.animation) if options.animation else None
     write_report(results, sentences, _words(options, study), blocks, animation)
     beside = "" if animation is None else f" and {ANIMATION_FILE}"
-    print(f"\nreport{beside}: {results.folder / 'report.html'}")
+    print(f"report{beside}: {results.folder / 'report.html'}")
     data = {
         **results.data(),
         "paired": [block.data() for block in blocks],

@@ -100,7 +100,7 @@ def sway_sentence(results: StudyResults, members: Sequence[int]) -> str | None:
     """Say how much the platform swings after the end under the best and the last controller."""
     errors = TRACKING_QUANTITY.errors(results, members)
     ranked = sorted(errors, key=lambda k: errors[k])
-    if len(ranked) < 2:
+    if len(ranked) < 2 or errors[ranked[-1]] <= EQUAL_RATIO_MAX * errors[ranked[0]]:
         return None
     labels = results.labels_of(COMPARED_COLUMNS)
     sway = {k: results.summary[k]["residual_sway_m"] for k in (ranked[0], ranked[-1])}

@@ -58,14 +58,14 @@ def tensions(results: StudyResults) -> str | None:
     if slack:
         slack.sort(key=lambda k: -results.summary[k]["slack_share"])
         each = [f"{labels[k]} ({percent(results.summary[k]['slack_share'])})" for k in slack]
-        parts.append(f"A cable was slack, below {low:g} N, for part of the time under {_and(each)}")
+        each[0] = each[0].replace(")", " of the time)")
+        parts.append(f"A cable was slack, below {low:g} N, under {_and(each)}")
     if over:
         each = [f"{labels[k]} (up to {results.summary[k]['tension_max_N']:.0f} N)" for k in over]
         parts.append(f"a cable was overloaded, above {high:g} N, under {_and(each)}")
     if good:
-        all_of_them = not slack and not over
-        who = "all" if all_of_them else "only " + _and([labels[k] for k in good])
-        parts.append(f"{who} kept every tension within {low:g} to {high:g} N")
+        who = _and([labels[k] for k in good]) if slack or over else "all"
+        parts.append(f"{who} kept within {low:g} to {high:g} N")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if text else None
 

@@ -62,10 +62,14 @@ def terminal_table(results: StudyResults, width: int) -> str:
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns that `terminal_table` shows, and name what all rows have in common."""
+    """Explain the columns that `terminal_table` shows, and name estimator and suite of all rows."""
     titles = {title for title, _ in shown_names(results)}
-    shared = [f"{name} {_short(name, results)[0]}" for name in GROUP_COLUMNS if name not in titles]
-    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in _fitting(results, width))
+    shared = [
+        f"{name} {_short(name, results)[0]}" for name in ("estimator", "suite")
+        if name not in titles
+    ]  # fmt: skip
+    explained = [c for c in _fitting(results, width) if c.words]
+    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in explained)
     start = f"All rows: {', '.join(shared)}. " if shared else ""
     return f"{start}{words[0].upper()}{words[1:]}."
 
@@ -134,20 +138,21 @@ def _columns(results: StudyResults) -> list[_Column]:
               for line in results.summary}  # fmt: skip
     low, high = next(iter(limits)) if len(limits) == 1 else (None, None)
     allowed = "" if low is None else f", allowed {low:g} to {high:g} N"
+    lost = "diverged or failed ones have no score" if any(map(_lost, results.summary)) else ""
     several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
         _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
                 "RMSE of the position [mm]"),
         _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
-                "RMS swing after the end [mm]"),
+                "RMS after the end [mm]"),
         _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
                 1 if several else 2, "RMSE of the estimate [mm]"),
         _Column("NEES", _nees, 3, "consistency of the covariance, 1 is right, + overconfident"),
         _Column("tension [N]", tension_range, 0, f"of any cable{allowed}"),
         _Column("slack", lambda x: percent(x["slack_share"]), 0,
-                "time with a cable below its least tension"),
-        _Column("limited", limited, 0, "commands changed by a limit, and by which"),
-        _Column("cases", cases, 0, "without a score if diverged or failed"),
+                "time below tension_min"),
+        _Column("limited", limited, 0, "commands changed by a limit"),
+        _Column("cases", cases, 0, lost),
         _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency"),
     ]  # fmt: skip
     kept = {"tracking", "cases"}
@@ -162,6 +167,11 @@ def _nees(line: Line) -> str:
     low, high = value["band"]
     mark = "+" if value["mean"] > high else "-" if value["mean"] < low else ""
     return f"{value['mean']:.3g}{mark}"
+
+
+def _lost(line: Line) -> bool:
+    """Return whether a row has cases without a score."""
+    return bool(line["failures"])
 
 
 def _cycle(line: Line) -> str:

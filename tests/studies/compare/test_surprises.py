@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
 from carosac_toolkit.studies.run.limit_scores import LIMIT_COLUMNS
@@ -32,7 +32,7 @@ def test_a_calm_study_has_no_surprise_and_shows_tensions_and_their_limits():
     assert surprises(results) == []
     text = terminal_table(results, 100)
     assert "30 to 90" in text and "2 ok" in text and "0 %" in text
-    assert "allowed are 20 to 500 N" in caption(results, 100)
+    assert "allowed 20 to 500 N" in caption(results, 100)
 
 
 def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do():
@@ -49,6 +49,16 @@ def test_slack_and_overloaded_cables_are_told_with_the_limits():
     slack, over = surprises(results)
     assert "below tension_min (20 N): a 34 % of the time, down to 0.01 N" in slack
     assert "above tension_max (500 N): a 2 % of the time, up to 700 N" in over
+
+
+def test_the_terminal_is_spared_what_its_table_and_headlines_tell():
+    grave = {"limited": 44} | LIMITED
+    few = {"limited": 5, "limited_by": '{"jump": 5}', "limited_first": '{"jump": 5}'}
+    more = {"slack_share": 0.34, "tension_min_N": 0.01}
+    results = study([*rows("a", **few | more), *rows("b", 0.02, **grave)])
+    assert len(surprises(results)) == 2
+    (text,) = grave_surprises(results)
+    assert "mostly by jump (b 44 % of the commands)" in text
 
 
 def test_paths_that_were_moved_to_where_the_robot_can_rest_are_told():
