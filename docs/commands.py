@@ -50,7 +50,7 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 
 # What makes the results that pages name, and what is there then.
 MADE = (
-    ("compare --seeds 1 --trajectories waypoints --workers 0 --output carosac-results/demo",
+    ("compare --seeds 1 --workers 0 --output carosac-results/demo",
      "carosac-results/demo/report.html"),
     ("run --duration 2 --recording carosac-results/run/20261122-041500.jsonl",
      "carosac-results/run/20261122-041500.jsonl"),

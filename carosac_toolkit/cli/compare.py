@@ -67,6 +67,7 @@ def run(options: Options) -> CommandResult:
     print(wrapped(_what(study), width), flush=True)
     for text in left_out:
         print(wrapped(text, width), flush=True)
+    study.prepare()
     for one in infeasible(study.feasibility):
         print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
     results = study.run()

@@ -27,17 +27,10 @@ def kernel_modules() -> list[str]:
 def compile_kernels(device: str = "cpu") -> int:
     """Compile all kernels that are not in Warp's cache yet; return how many modules there are.
 
-    A line on standard error says so if it takes more than a second.
-
     Args:
         device: Warp device name.
     """
     names = kernel_modules()
-    text = (
-        f"Compiling {len(names)} kernel modules for {device}, once on this machine; it takes "
-        "about half a minute ..."
-    )
-    with warp_setup.notice(text):
-        for name in names:
-            warp_setup.load(import_module(name), device)
+    for name in names:
+        warp_setup.load(import_module(name), device)
     return len(names)

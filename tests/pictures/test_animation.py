@@ -43,7 +43,7 @@ def test_cables_hang_between_the_exit_and_anchor_points_of_the_plant_by_their_te
         taut, slack = excess[motion.tension > 50.0], excess[motion.tension < 0.3]
         assert np.median(taut) < 1e-5 and taut.max() < 2e-3  # cables that swing are not catenaries
         if motion.controller == "kinematic_solver":  # 0.3 N is less than half a cable weighs
-            assert len(slack) > 20 and slack.min() > 2e-3
+            assert len(slack) > 20 and slack.max() > 5e-3
 
 
 def test_the_error_is_the_distance_from_the_reference(results, motions):

@@ -181,6 +181,11 @@ class Study:
             with remote_client(self.scheduler):
                 pass
 
+    def prepare(self) -> None:
+        """Compile all kernels before several processes of this machine need them."""
+        if self.scheduler is None and self.workers != 0:
+            compile_kernels()
+
     @cached_property
     def feasibility(self) -> tuple[PathFeasibility, ...]:
         """Feasibility of the paths with the tensions and winches of each robot, before any run."""
@@ -204,13 +209,14 @@ class Study:
             CarosacError: As `check` and `run_cases`.
         """
         self.check()
+        self.prepare()
         folder = self.folder()
         judged = self.feasibility
         rows = run_cases(
             self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
             workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
             batching=self._batching(), progress=progress,
-            begun=lambda: copy_robots(folder, self.robots), before_workers=compile_kernels,
+            begun=lambda: copy_robots(folder, self.robots),
         )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
 

@@ -43,7 +43,6 @@ def run_cases(
     own_files: bool = False,
     share: Callable[[], float] | None = None,
     begun: Callable[[], object] | None = None,
-    before_workers: Callable[[], object] | None = None,
     progress: bool = True,
 ) -> list[Row]:
     """Run each case once and return one row per case, in the order of the cases.
@@ -77,8 +76,6 @@ def run_cases(
         share: Tells how much of the work is done, 0 to 1, where cases are few and long; without
             it the finished cases tell.
         begun: Called once the folder is ours, before any case runs.
-        before_workers: Called before processes of this machine are started, for what each of them
-            would have to do otherwise.
         progress: True to report progress on standard error.
 
     Raises:
@@ -110,8 +107,6 @@ def run_cases(
             count = _worker_count(workers, len(cases), len(todo))
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
-                if before_workers is not None and scheduler is None and count > 0:
-                    before_workers()
                 notes = "" if here else stack.enter_context(notes_folder(path))
                 own = str(path.resolve()) if own_files else ""
                 tasks = _tasks(todo, function, attempts, notes, own, batching)
