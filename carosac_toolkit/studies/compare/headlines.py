@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from carosac_toolkit.studies.compare.findings import (
@@ -40,7 +40,7 @@ def _errors(results: StudyResults, members: Sequence[int]) -> Iterator[str]:
 
 
 def tensions(results: StudyResults) -> str | None:
-    """Say under whom cables went slack or were overloaded, and who kept them within limits."""
+    """Say under whom cables were slack or overloaded most, and under whom least or never."""
     known = [k for k, line in enumerate(results.summary) if line["tension_min_N"] is not None]
     limits = {_limits(results.summary[k]) for k in known}
     if len(limits) != 1:
@@ -48,26 +48,27 @@ def tensions(results: StudyResults) -> str | None:
     ((low, high),) = limits
     labels = results.labels_of(COMPARED_COLUMNS)
 
-    def those(inside: Callable[[Line], bool]) -> list[int]:
-        return [k for k in known if inside(results.summary[k])]
+    def sorted_by(name: str) -> list[int]:
+        return sorted(known, key=lambda k: results.summary[k][name])
 
-    good = those(lambda line: line["tension_min_N"] >= low and line["tension_max_N"] <= high)
-    slack = those(lambda line: line["tension_min_N"] < low)
-    over = those(lambda line: line["tension_max_N"] > high)
+    slack, top = sorted_by("slack_share"), sorted_by("tension_max_N")[-1]
+    least, worst = (results.summary[k] for k in (slack[0], slack[-1]))
+    highest = results.summary[top]["tension_max_N"]
     parts = []
-    if slack:
-        slack.sort(key=lambda k: -results.summary[k]["slack_share"])
-        each = [f"{labels[k]} ({percent(results.summary[k]['slack_share'])})" for k in slack]
-        each[0] = each[0].replace(")", " of the time)")
-        parts.append(f"A cable was slack, below {low:g} N, under {_and(each)}")
-    if over:
-        each = [f"{labels[k]} (up to {results.summary[k]['tension_max_N']:.0f} N)" for k in over]
-        parts.append(f"a cable was overloaded, above {high:g} N, under {_and(each)}")
-    if good:
-        who = _and([labels[k] for k in good]) if slack or over else "all"
-        parts.append(f"{who} kept within {low:g} to {high:g} N")
+    if worst["slack_share"] > 0.0:
+        never = [labels[k] for k in slack if results.summary[k]["slack_share"] == 0.0]
+        text = f"for {percent(worst['slack_share'])} of the time under {labels[slack[-1]]}"
+        if never:
+            text += f", never under {_and(never)}"
+        elif len(slack) > 1:
+            text += f" and {percent(least['slack_share'])} under {labels[slack[0]]}"
+        parts.append(f"A cable was slack, below {low:g} N, {text}")
+    if highest > high:
+        parts.append(f"the highest tension was {highest:.0f} N, under {labels[top]}")
+    if not parts:
+        return f"All tensions were within {low:g} to {high:g} N."
     text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}." if text else None
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _limits(line: Line) -> tuple[float, float]:
