@@ -130,7 +130,8 @@ class _View:
         view = cls(right, up, np.cross(right, up))
         flat = view.project(np.vstack([motion.position for motion in motions]))
         margin = MARGIN_SIZES * float(np.ptp(motions[0].plant.anchor_points, axis=0).max())
-        low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
+        low = flat.min(axis=0) - [margin, 1.7 * margin]  # a line of text stands below
+        high = flat.max(axis=0) + margin
         high[1] = low[1] + max(high[1] - low[1], VIEW_HEIGHT * (high[0] - low[0]))
         view.limits = np.stack([low, high])
         return view
