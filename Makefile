@@ -28,15 +28,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: $(STAMP)  ## compare two controllers on a sagging-cable robot, with pictures
-	@echo "Comparing straight-line kinematics with the kinematic solver on the robot 'carosac': 100"
-	@echo "cases, some two minutes on two cores. Kernels are compiled at the first run, which takes up"
-	@echo "to a minute more. In one case the kinematic solver refuses a path on which this robot"
-	@echo "cannot rest everywhere; straight-line kinematics does not know."
-	$(BIN)/carosac compare --batch 10 --output $(RESULTS)/demo
-	@echo
-	@echo "Pictures and report (begin with report.html, in a browser):"
-	@ls -1 $(RESULTS)/demo/*.png $(RESULTS)/demo/*.html
+demo: $(STAMP)  ## compare five controllers on one fast move, with an animation and a report
+	@$(BIN)/carosac compare --seeds 6 --animation kinematic_solver mpc td3 --output $(RESULTS)/demo
 
 test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels

@@ -38,7 +38,7 @@ QUICK = ("calibrate", "check", "import", "robots", "validate")
 
 # Options that are put in place of the page's, or added, so that a run takes seconds.
 SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
-    "compare": {"--seeds": ("1",), "--trajectories": ("waypoints",), "--workers": ("0",)},
+    "compare": {"--seeds": ("1",), "--trajectories": ("fast_move",), "--workers": ("0",)},
     "evaluate": {"--trajectories": ("2",)},
     "identify": {"--train": ("0:110",), "--test": ("110:160",)},
     "plc": {"--duration": ("40",)},
@@ -51,7 +51,7 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 
 # What makes the results that pages name, and what is there then.
 MADE = (
-    ("compare --seeds 1 --trajectories waypoints --workers 0 --output carosac-results/demo",
+    ("compare --seeds 1 --workers 0 --output carosac-results/demo",
      "carosac-results/demo/report.html"),
     ("run --duration 2 --output carosac-results/run/20261122-041500.jsonl",
      "carosac-results/run/20261122-041500.jsonl"),
@@ -72,9 +72,9 @@ SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "ru
 
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
-    "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
-    "--sensors lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is a "
-    "command of the overview",
+    "carosac compare --controllers tilted:Tilted input_shaping mpc --trajectories minimum_snap "
+    "waypoints circle --seeds 20 --output paper": "an hour; the first command "
+    "of the page is the same with one path and two seeds",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
     "carosac train --preset residual --device cuda --set td3.environments=1024 --set "

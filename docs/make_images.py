@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 IMAGES, EXAMPLES = HERE / "images", HERE.parent / "examples"
 COMPARED = "compare --controllers straight_line kinematic_solver input_shaping"
 PAIRED = (
-    f"{COMPARED} --baseline kinematic_solver --estimators dynamic_estimator --suites lengths+imu "
+    f"{COMPARED} --baseline kinematic_solver --estimators dynamic_estimator --sensors lengths+imu "
     "--trajectories minimum_snap waypoints --speed 2 --acceleration 2 --seeds 8 --batch 8"
 )
 LENGTHS = f"{COMPARED} --trajectories minimum_snap waypoints --speed 2.5 --acceleration 2 --seeds 1"

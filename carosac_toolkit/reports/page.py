@@ -125,7 +125,7 @@ def pictures(files: Mapping[str, bytes], captions: Mapping[str, str]) -> list[st
     """Embed pictures, with links to their vector versions beside the page.
 
     Args:
-        files: Contents by file name; every PNG among them is embedded.
+        files: Contents by file name; every PNG and WebP among them is embedded.
         captions: Caption of each by the stem of its name.
     """
     names = [Path(name) for name in files]
@@ -136,14 +136,15 @@ def pictures(files: Mapping[str, bytes], captions: Mapping[str, str]) -> list[st
             [one.name for one in names if one.stem == name.stem and one != name],
         )
         for name in names
-        if name.suffix == ".png"
+        if name.suffix in (".png", ".webp")
     ]
 
 
 def picture(image: bytes, caption: str, others: Sequence[str] = ()) -> str:
-    """Embed one picture, with links to files beside the page that hold it in other formats."""
+    """Embed one picture, PNG or WebP, with links to files that hold it in other formats."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
-    source = f"data:image/png;base64,{text}"
+    kind = "webp" if image[8:12] == b"WEBP" else "png"
+    source = f"data:image/{kind};base64,{text}"
     links = [
         f'<a href="{escape(name)}">{escape(Path(name).suffix[1:].upper())}</a>' for name in others
     ]

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
@@ -31,7 +32,11 @@ from carosac_toolkit.studies.run.robot_copies import PATHS_FOLDER, copy_of
 
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
+ANIMATION_FILE = "animation.webp"
+ANIMATED_MAX = 3  # controllers side by side
 STUDY_CAPTIONS = {
+    "animation": "The same case under some controllers: cables by tension, distance of the "
+    "platform from its reference.",
     "paired": "Every error over that of the baseline on the same draws, with its 95 % interval: "
     "left of 1 is better. Full marks: the Holm-corrected p is at most 0.05; on the right: cases in "
     "which the error was smaller.",
@@ -56,6 +61,7 @@ def write_report(
     said: Sequence[str],
     words: Sequence[str],
     blocks: Sequence[PairedBlock] | None = None,
+    animation: bytes | None = None,
 ) -> list[Path]:
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
@@ -64,12 +70,15 @@ def write_report(
         said: Conclusions, as sentences.
         words: The command that repeats it.
         blocks: Its paired comparisons; by default those with the first of each block.
+        animation: Animated WebP to show first, or None.
 
     Returns:
         The files, the report last.
     """
     blocks = paired_blocks(results) if blocks is None else blocks
     images = _images(results, blocks)
+    if animation is not None:
+        images = {ANIMATION_FILE: animation, **images}
     document = _html(results, said, words, images, blocks)
     origin = _origin(results, words)
     tables = {
@@ -99,6 +108,33 @@ def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, b
     if comparable(blocks):
         figures = {"paired": draw_paired(blocks, robot_names(results)), **figures}
     return picture_files(figures)
+
+
+def check_animation(controllers: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse an animation that could not be drawn, before a study runs.
+
+    Raises:
+        InvalidField: Too many controllers, or one that the study does not have.
+    """
+    if len(set(controllers)) < len(controllers) or len(controllers) > ANIMATED_MAX:
+        allowed = f"one to {ANIMATED_MAX} different controllers of the study"
+        raise InvalidField("--animation", repr(list(controllers)), allowed)
+    for name in controllers:
+        if name not in known:
+            allowed = f"of the study: {list(known)}{did_you_mean(name, known)}"
+            raise InvalidField("--animation", repr(name), allowed)
+
+
+def animation_of(results: StudyResults, controllers: Sequence[str]) -> bytes:
+    """Draw the animation of some controllers, in the case whose time series was kept.
+
+    Raises:
+        CarosacError: A controller has no such case.
+    """
+    from carosac_toolkit.pictures.animation import animation_webp
+    from carosac_toolkit.pictures.motions import motions_of
+
+    return animation_webp(motions_of(results.folder, results.rows, controllers))
 
 
 def _origin(results: StudyResults, words: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.physics.kernel_modules import compile_kernels
 from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION
@@ -24,6 +25,13 @@ from carosac_toolkit.studies.compare.checks import (
     check_settings,
     check_truth,
     find_plugin,
+)
+from carosac_toolkit.studies.compare.defaults import (
+    DEFAULT_SEEDS,
+    DEFAULT_TRAJECTORIES,
+    QUICK_SEEDS,
+    default_choice,
+    default_controllers,
 )
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
@@ -47,11 +55,6 @@ CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
 BATCH_FUNCTION = "carosac_toolkit.studies.run.run_together:run_together"
 DEFAULT_STUDY_FOLDER = Path("carosac-results") / "compare"
-DEFAULT_SEEDS = 10
-QUICK_SEEDS = 2
-DEFAULT_CONTROLLERS = ("straight_line", "kinematic_solver")
-DEFAULT_ESTIMATORS = ("kinematic_solver",)
-DEFAULT_TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
 SEEDS_ALLOWED = "a whole number, 1 or more, or a list of seeds"
 
 
@@ -64,18 +67,24 @@ class Study:
 
     Attributes:
         robots: Bundled names, or paths of robot files.
-        controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``.
-        estimators: The same; ``truth`` is what a simulated driver knows.
-        sensors: Sensors that measure, such as ``lengths+imu``; the driver must have them.
+        controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``. None:
+            on the driver ``simulator`` ``straight_line``, ``kinematic_solver``, ``input_shaping``,
+            ``mpc`` and, where the robots have a bundled policy, ``td3``; on other drivers the first
+            two.
+        estimators: The same; ``truth`` is what a simulated driver knows. None:
+            ``dynamic_estimator`` on the driver ``simulator``, ``kinematic_solver`` on others.
+        sensors: Sensors that measure, such as ``lengths+imu``; the driver must have them. None:
+            ``lengths+imu`` on the driver ``simulator``, ``lengths`` on others.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`, or files,
             see `carosac_toolkit.trajectories.from_file`, whose speeds are their own; on the driver
             `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from: names, or paths of YAML files.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, ``module:Class``, or class.
-        speed_max: Of the trajectories [m/s]; None: 1 m/s on the robot ``carosac``, and as
-            `carosac_toolkit.trajectories.catalogue.default_limits` says for others.
-        acceleration_max: Of the trajectories [m/s^2]; None: 1 m/s^2, likewise.
+        speed_max: Of the trajectories [m/s]; None: on the robot ``carosac`` 1 m/s, 2 m/s for
+            ``fast_move``, and as `carosac_toolkit.trajectories.catalogue.default_limits` says for
+            others.
+        acceleration_max: Of the trajectories [m/s^2]; None: 1 m/s^2, or 2 m/s^2, likewise.
         controller_settings: By the name or class of a controller, fields of its own settings.
         estimator_settings: By the name or class of an estimator, fields of its own settings.
         driver_settings: Fields of the driver's own settings.
@@ -92,9 +101,9 @@ class Study:
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[Any] = DEFAULT_CONTROLLERS
-    estimators: Sequence[Any] = DEFAULT_ESTIMATORS
-    sensors: Sequence[str] = ("lengths",)
+    controllers: Sequence[Any] = None  # type: ignore[assignment]  # filled in as the next two
+    estimators: Sequence[Any] = None  # type: ignore[assignment]
+    sensors: Sequence[str] = None  # type: ignore[assignment]
     trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
     perturbations: Sequence[str] = (DEFAULT_CONDITION,)
     seeds: int | Sequence[int] = DEFAULT_SEEDS
@@ -112,7 +121,15 @@ class Study:
     batch: int = 1
 
     def __post_init__(self) -> None:
-        """Turn lists into tuples and classes into names; refuse a string instead of a list."""
+        """Fill in defaults, turn lists into tuples and classes into names; refuse a string."""
+        usual = default_choice(self.driver)
+        for name in ("estimators", "sensors"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(usual, name))
+        if self.controllers is None and not isinstance(self.robots, str):
+            object.__setattr__(
+                self, "controllers", default_controllers(self.driver, self.robots)[0]
+            )
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
@@ -166,6 +183,11 @@ class Study:
             with remote_client(self.scheduler):
                 pass
 
+    def prepare(self) -> None:
+        """Compile all kernels before several processes of this machine need them."""
+        if self.scheduler is None and self.workers != 0:
+            compile_kernels()
+
     @cached_property
     def feasibility(self) -> tuple[PathFeasibility, ...]:
         """Feasibility of the paths with the tensions and winches of each robot, before any run."""
@@ -189,6 +211,7 @@ class Study:
             CarosacError: As `check` and `run_cases`.
         """
         self.check()
+        self.prepare()
         folder = self.folder()
         judged = self.feasibility
         rows = run_cases(
@@ -234,7 +257,7 @@ class Study:
     def _settings_of(self, case: Case) -> dict[str, Any]:
         """Return the settings of one case, with those of its controller and estimator."""
         digest = robot_digest(case.robot)
-        speed, acceleration = default_limits(robot_of(case.robot, digest))
+        speed, acceleration = default_limits(robot_of(case.robot, digest), case.trajectory)
         settings = dict(case.settings) | {
             "robot_digest": digest,
             "speed_max": speed if self.speed_max is None else float(self.speed_max),

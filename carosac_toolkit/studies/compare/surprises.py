@@ -17,6 +17,7 @@ from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.trajectories.path_file import is_path_file
 
 LIMITED_SHARE_MIN = 0.01  # of the commands: fewer are not worth a sentence
+GRAVE_LIMITED_SHARE_MIN = 0.1  # of the commands: fewer can be seen in the table
 SLACK_SHARE_MIN = 0.001  # of the time; tensions count from here on
 FALLBACK_SHARE_MIN = 0.01  # of the commands
 SAME_TOLERANCE = 1e-9  # relative: numbers that differ by less are the same
@@ -60,6 +61,18 @@ def surprises(results: StudyResults) -> list[str]:
     ]
 
 
+def grave_surprises(results: StudyResults) -> list[str]:
+    """Return those that the table and `headlines` do not tell, the gravest first."""
+    return [
+        *_diverged(results),
+        *_limited(results, GRAVE_LIMITED_SHARE_MIN),
+        *_outside(results),
+        *_moved(results),
+        *_fallbacks(results),
+        *_identical(results),
+    ]
+
+
 def _labels(results: StudyResults) -> list[str]:
     """Return short labels of the groups."""
     return [" / ".join(map(short_name, label.split(" / "))) for label in results.labels]
@@ -86,12 +99,10 @@ def _diverged(results: StudyResults) -> Iterator[str]:
         )
 
 
-def _limited(results: StudyResults) -> Iterator[str]:
+def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterator[str]:
     """Tell whose commands were limited, by what, and what to do, once for each limit."""
     by_limit: dict[str, list[tuple[str, dict[str, Any]]]] = {}
-    for label, line in _lines(
-        results, lambda line: (line["limited_share"] or 0.0) > LIMITED_SHARE_MIN
-    ):
+    for label, line in _lines(results, lambda line: (line["limited_share"] or 0.0) > least):
         name = main_limit(line)
         if name is not None:
             by_limit.setdefault(name, []).append((label, line))

@@ -17,7 +17,7 @@ from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
 Line = dict[str, Any]
 WHOLE_MM_MIN = 1000.0  # from here on without a decimal
-TWO_DIGITS_MAX_N = 10.0  # below it a tension has two digits, else no decimals
+ONE_DECIMAL_MAX_N = 10.0  # below it a tension has a decimal, else none
 OWN_LINE_INDENT = "  "
 SHORT_TITLES = {
     "tracking": "track", "estimate": "estim.", "tension [N]": "tension", "limited": "limit",
@@ -74,12 +74,16 @@ def terminal_table(results: StudyResults, width: int) -> str:
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns that `terminal_table` shows, and name what all rows have in common."""
+    """Explain the columns that `terminal_table` shows, and name estimator and suite of all rows."""
     titles = {title for title, _ in shown_names(results)}
-    shared = [f"{name} {_short(name, results)[0]}" for name in GROUP_COLUMNS if name not in titles]
-    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in _fitting(results, width))
+    shared = [
+        f"{name} {_short(name, results)[0]}" for name in ("estimator", "suite")
+        if name not in titles
+    ]  # fmt: skip
+    explained = [c for c in _fitting(results, width) if c.words]
+    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in explained)
     start = f"All rows: {', '.join(shared)}. " if shared else ""
-    return f"{start}{words[0].upper()}{words[1:]}. The report has all other numbers."
+    return f"{start}{words[0].upper()}{words[1:]}."
 
 
 def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
@@ -147,21 +151,23 @@ def _columns(results: StudyResults) -> list[_Column]:
     limits = {(line["tension_limit_low_N"], line["tension_limit_high_N"])
               for line in results.summary}  # fmt: skip
     low, high = next(iter(limits)) if len(limits) == 1 else (None, None)
-    allowed = " [N]" if low is None else f", allowed are {low:g} to {high:g} N"
+    allowed = " [N]" if low is None else f", allowed {low:g} to {high:g} N"
+    lost = "diverged or failed ones have no score" if any(map(_lost, results.summary)) else ""
+    several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
         _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
-                "RMSE of the platform position [mm]"),
-        _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2,
-                "RMS swing after the end [mm]"),
-        _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]), 1,
-                "RMSE of the estimated position [mm]"),
+                "RMSE of the position [mm]"),
+        _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
+                "RMS after the end [mm]"),
+        _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
+                1 if several else 2, "RMSE of the estimate [mm]"),
         _Column("NEES", _nees, 3, "consistency of the covariance, 1 is right, + overconfident"),
-        _Column("tension [N]", tension_range, 0, f"least to largest of any cable{allowed}"),
+        _Column("tension [N]", tension_range, 0, f"of any cable{allowed}"),
         _Column("slack", lambda x: percent(x["slack_share"]), 0,
-                "share of time with a cable below tension_min"),
-        _Column("limited", limited, 0, "share of commands that a limit changed, and which one"),
-        _Column("cases", cases, 0, "those that diverged or failed have no score"),
-        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency [ms]"),
+                "time below tension_min"),
+        _Column("limited", limited, 0, "commands changed by a limit"),
+        _Column("cases", cases, 0, lost),
+        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency"),
     ]  # fmt: skip
     kept = {"tracking", "cases"}
     return [c for c in columns if c.title in kept or any(c.cell(x) != "-" for x in results.summary)]
@@ -177,6 +183,11 @@ def _nees(line: Line) -> str:
     return f"{value['mean']:.3g}{mark}"
 
 
+def _lost(line: Line) -> bool:
+    """Return whether a row has cases without a score."""
+    return bool(line["failures"])
+
+
 def _cycle(line: Line) -> str:
     return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
 
@@ -189,8 +200,8 @@ def tension_range(line: Line) -> str:
 
 
 def _newtons(tension: float) -> str:
-    """Format a tension: two digits where it is small."""
-    return f"{tension:.2g}" if tension < TWO_DIGITS_MAX_N else f"{tension:.0f}"
+    """Format a tension: with a decimal where it is small."""
+    return f"{tension:.1f}" if tension < ONE_DECIMAL_MAX_N else f"{tension:.0f}"
 
 
 def limited(line: Line) -> str:

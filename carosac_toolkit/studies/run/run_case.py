@@ -95,7 +95,7 @@ def run_case(case: Case) -> dict[str, Any]:
     settings = known_settings(case.settings)
     robot = robot_of(case.robot, digest_of(case))
     condition = condition_of(case).of(robot)
-    plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
+    plant = plant_of(case, robot)
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
     name = str(settings.get("driver", DEFAULT_DRIVER))
     recorded = replays(plugins.load("drivers", name))
@@ -122,6 +122,12 @@ def run_case(case: Case) -> dict[str, Any]:
     row |= own_words(controller) | {"path_moved_m": path.moved}
     row[DIVERGED] = divergence(log, robot, replayed=recorded)
     return row | {"series": example_series(case, log)}
+
+
+def plant_of(case: Case, robot: Robot) -> Robot:
+    """Return the plant that a case draws from its condition."""
+    condition = condition_of(case).of(robot)
+    return draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
 
 
 def path_of(case: Case, robot: Robot) -> Trajectory:
@@ -199,6 +205,7 @@ def example_series(case: Case, log: Log) -> str | None:
         "position_m": None if log.position is None else log.position[keep, 0],
         "quaternion": None if log.rotation is None else from_matrix(log.rotation[keep, 0]),
         "tension_N": None if log.tension is None else log.tension[keep, 0],
+        "unstrained_length_m": None if log.true_length is None else log.true_length[keep, 0],
         "belief_m": log.belief_position[keep, 0],
         "length_error_m": (log.unstrained_length - log.command)[keep, 0],
     }

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility
-from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
 from carosac_toolkit.studies.run.limit_scores import LIMIT_COLUMNS
@@ -34,7 +34,7 @@ def test_a_calm_study_has_no_surprise_and_shows_tensions_and_their_limits():
     assert surprises(results) == []
     text = terminal_table(results, 100)
     assert "30 to 90" in text and "2 ok" in text and "0 %" in text
-    assert "allowed are 20 to 500 N" in caption(results, 100)
+    assert "allowed 20 to 500 N" in caption(results, 100)
 
 
 def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do():
@@ -71,6 +71,16 @@ def test_slack_and_overloaded_cables_are_told_with_the_limits():
     assert "go slower" in slack
     lasting, _ = surprises(study(rows("a", **more | {"slack_share": 0.99})))
     assert "does not come from speed" in lasting and "go slower" not in lasting
+
+
+def test_the_terminal_is_spared_what_its_table_and_headlines_tell():
+    grave = {"limited": 44} | LIMITED
+    few = {"limited": 5, "limited_by": '{"jump": 5}', "limited_first": '{"jump": 5}'}
+    more = {"slack_share": 0.34, "tension_min_N": 0.01}
+    results = study([*rows("a", **few | more), *rows("b", 0.02, **grave)])
+    assert len(surprises(results)) == 2
+    (text,) = grave_surprises(results)
+    assert "mostly by jump (b 44 % of the commands)" in text
 
 
 def test_paths_that_were_moved_to_where_the_robot_can_rest_are_told():
