@@ -280,6 +280,14 @@ def put_marks(figure: Figure, looks: Mapping[str, Series]) -> None:
     put_handles(figure, handles, list(looks))
 
 
+def put_points(figure: Figure, looks: Mapping[str, Series]) -> None:
+    """Put the marker of each series below the figure."""
+    from matplotlib.lines import Line2D
+
+    marks = [Line2D([], [], color=k.color, marker=k.marker, ls="", ms=5) for k in looks.values()]
+    put_handles(figure, marks, list(looks))
+
+
 def put_handles(figure: Figure, handles: Iterable[Any], labels: Sequence[str]) -> None:
     """Put a legend below the figure, in as many columns as it has room for."""
     from matplotlib.legend_handler import HandlerTuple

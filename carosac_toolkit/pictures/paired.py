@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.tables import counted
-from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_log, set_title
+from carosac_toolkit.pictures.drawing import new_figure, put_points, set_log, set_title
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
@@ -63,7 +63,8 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
         "Error over the baseline's, 95 % interval;",
         f"full: p ≤ {SIGNIFICANCE_LEVEL:g} (Holm); right: cases won",
     )
-    put_legend(figure, panels[0])
+    drawn = dict.fromkeys(label for block in shown for _, label, _ in _rows(block))
+    put_points(figure, {label: looks[label] for label in drawn})
     return figure
 
 
@@ -71,18 +72,13 @@ def _draw_block(axes: Any, block: PairedBlock, looks: Mapping[str, Series], robo
     """Draw all comparisons of a block, one below the other."""
     rows = _rows(block)
     ticks: dict[str, list[int]] = {}
-    known: set[str] = set()
     for place, (name, label, pair) in enumerate(rows):
         assert pair.ratio is not None
         one, color, marker = pair.ratio, looks[label].color, looks[label].marker
         if one.low is not None and one.high is not None:
             axes.plot([one.low, one.high], [place, place], color=color, lw=1.6)
         sure = pair.p_holm is not None and pair.p_holm <= SIGNIFICANCE_LEVEL
-        axes.plot(
-            one.value, place, marker, color=color, mfc=color if sure else "white", ms=5,
-            label=None if label in known else label,
-        )  # fmt: skip
-        known.add(label)
+        axes.plot(one.value, place, marker, color=color, mfc=color if sure else "white", ms=5)
         axes.annotate(
             f"{pair.won}/{pair.cases}", (1.0, place), xycoords=axes.get_yaxis_transform(),
             xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,

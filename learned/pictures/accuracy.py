@@ -153,8 +153,7 @@ def sample_paths(
         axes.grid(alpha=0.25)
     set_title(
         figure,
-        f"{robot.name}: paths of the platform origin, one colour each, {enlarged_text(factor)}; "
-        "dot: start",
+        f"{robot.name}: paths of the platform origin, {enlarged_text(factor)}; dot: start",
     )
     put_legend(figure, space)
     return save(figure, path)
