@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars learning docs docs-commands clean
+.PHONY: help setup demo test lint bench bars learning docs docs-commands linkcheck clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -19,11 +19,11 @@ setup: $(STAMP)  ## install the toolkit and all it needs into .venv
 $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation, learning, viewing and bags, at the versions of constraints.txt."
+	@echo "2/3 Installing the toolkit in place with all its extras, and the tools for tests and"
+	@echo "    documentation, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn,ros,view]'
+		--constraint constraints.txt --editable '.[all,dev,docs]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@
@@ -84,8 +84,12 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
-	@echo "Open docs/_build/index.html"
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python docs/links.py docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+linkcheck: $(STAMP)  ## try every external link of the documentation, over the network
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
 
 docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings
 	$(BIN)/python docs/commands.py --jobs $(JOBS)

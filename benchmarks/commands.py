@@ -36,7 +36,7 @@ POLICIES = tuple(
 MOVES = "--speed 2 --acceleration 1.5 --seed 20 --seeds 3"
 SHAPERS = (
     "--controllers kinematic_solver input_shaping input_shaping@zvd input_shaping@all "
-    "--estimators kinematic_solver --suites lengths --set "
+    "--estimators kinematic_solver --sensors lengths --set "
     "controller.input_shaping@zvd.shaper=zvd --set controller.input_shaping@all.directions=all"
 )
 STUDIES = {

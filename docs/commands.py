@@ -26,11 +26,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from links import markdown
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 LONGEST = 1200  # [s] that a command may take
-PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("notebooks/*.ipynb")))
 
 # Run in the tests; they take a second or so each, in one process.
 QUICK = ("calibrate", "check", "import", "robots", "validate")
@@ -52,7 +53,7 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 MADE = (
     ("compare --seeds 1 --workers 0 --output carosac-results/demo",
      "carosac-results/demo/report.html"),
-    ("run --duration 2 --recording carosac-results/run/20261122-041500.jsonl",
+    ("run --duration 2 --output carosac-results/run/20261122-041500.jsonl",
      "carosac-results/run/20261122-041500.jsonl"),
 )  # fmt: skip
 
@@ -120,10 +121,10 @@ class Written:
 
 
 def written() -> list[Written]:
-    """All commands in blocks of README and docs, in order of the pages."""
+    """All commands in blocks of README, docs and text of notebooks, in order of the pages."""
     found = []
     for page in PAGES:
-        text = page.read_text(encoding="utf-8")
+        text = markdown(page)
         for kind, block in re.findall(r"```(console|bash)\n(.*?)```", text, re.DOTALL):
             start = "$ carosac " if kind == "console" else "carosac "
             block = textwrap.dedent(block)  # blocks in lists are indented

@@ -56,7 +56,7 @@ def main():
     controllers = ("straight_line", Tilted, "kinematic_solver")
     with tempfile.TemporaryDirectory() as folder:
         study = ct.Study(
-            controllers=controllers, estimators=["kinematic_solver"], suites=["lengths"],
+            controllers=controllers, estimators=["kinematic_solver"], sensors=["lengths"],
             trajectories=["circle"], seeds=SEEDS, workers=0, output=folder,
         )  # fmt: skip
         rows = study.run(progress=False).rows

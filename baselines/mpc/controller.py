@@ -13,8 +13,9 @@ from baselines.kinematic_solver_controller import (
     KinematicSolverControllerSettings,
 )
 from baselines.mpc.belief_gate import BeliefGate
+from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.fallback import RestFallback
-from baselines.mpc.geometry import Geometry, excess_at, geometry_at
+from baselines.mpc.geometry import Geometry, excess_at, excess_under, geometry_at
 from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.plan_times import settings_for
@@ -22,20 +23,19 @@ from baselines.mpc.planner import Planner
 from baselines.mpc.premise import broken_premise
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
+from baselines.mpc.soft_start import SoftStart
 from baselines.mpc.target_reader import TargetReader
 from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 SOFTENED_RATIO = 0.01  # of a limit, by which a plan must exceed it to count as softened
 SHIFTED_STEPS_MAX = 5  # for which the last plan goes on after a failure: longer, it runs away
-# In which sag and stretch of a plan reach the command: shorter shakes cables.
-EXCESS_TIME = Scaled(0.3, "s")
 
 
 class NoStart(CarosacError):
@@ -63,16 +63,18 @@ class Mpc:
     Settings: ClassVar = MpcSettings
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        require("model predictive control", "casadi")
         scales = Scales(robot)
         settings, weight_time = settings_for(robot, settings)
         jerk_max = settings.jerk_max or scales.jerk(settings.period)
         self._robot, self._settings = robot, settings
-        self._excess_time = EXCESS_TIME.of(scales.ratios)
         self.period = settings.period
         self._planner = Planner(robot, settings, weight_time=weight_time)
         self._observer = Observer(robot, settings)
+        self._excess = ExcessFilter(robot, self.period)
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._targets = TargetReader(robot, self._planner.grid, settings.distribution)
+        self._soft_start = SoftStart(self._planner.grid, scales.ratios)
         self._rest = RestFallback(robot)
         self._agreement = BeliefGate(settings.period, scales.ratios)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
@@ -114,6 +116,7 @@ class Mpc:
         self._planner.reset()
         self._observer.reset()
         self._targets.reset()
+        self._soft_start.reset()
         self._rest.reset()
         self._agreement.reset()
         self._failed = 0
@@ -126,9 +129,8 @@ class Mpc:
                 f"mpc: position {position.round(4)} m: cables of {geometry.length.round(3)} m; "
                 f"allowed: {low.round(3)} to {high.round(3)} m, outside pulleys"
             )
-        self._excess = np.zeros(self._robot.n)
-        self._update_excess(position, rotation, self._targets.at(position), share=1.0)
-        self._winches.reset(geometry.length + self._excess)
+        self._excess.reset(self._first_excess(belief, geometry))
+        self._winches.reset(geometry.length + self._excess.value)
         self._ready = True
 
     def command(self, belief: Belief, reference: Reference) -> Command:
@@ -145,7 +147,7 @@ class Mpc:
             return self._follower.command(belief, reference)
         now = float(belief.time[0])
         start = self._observer.start(
-            belief, self._winches.length - self._excess, self._winches.rate,
+            belief, self._winches.length - self._excess.value, self._winches.rate,
             within=self._agreement.within(self._resting), stuck=self._agreement.stuck,
         )  # fmt: skip
         self._agreement.update(start.distance, resting=self._resting, still=self._winches.at_rest)
@@ -175,13 +177,15 @@ class Mpc:
             self._fail("belief", f"{start.distance:.3g} m from the lengths that were sent")
             return None
         began = time.perf_counter()
-        wanted = self._targets.read(reference)
+        wanted = self._soft_start.faded(
+            self._targets.read(reference), start.position, start.rotation, time=now
+        )
         target = self._targets.nearer(wanted, start.position)
         self.record.approached += target is not wanted
         improved = self._planner.improve(
             start, target, time=now, load=self._observer.load,
             acceleration=self._winches.acceleration_range(),
-            offset=self._excess + self._observer.surplus,
+            offset=self._excess.value + self._observer.surplus,
         )  # fmt: skip
         self.record.solve_time = time.perf_counter() - began
         self.record.solves += 1
@@ -210,7 +214,10 @@ class Mpc:
         """Return the command that leads to the plan's next state."""
         before, state = plan.state[:2]
         position, rotation = pose_of(state, plan.rotation)
-        geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
+        geometry = geometry_at(self._robot, position, rotation)
+        excess = excess_at(self._robot, position, rotation, plan.tension[0], geometry)
+        self.record.no_cable += not np.isfinite(excess).all()
+        self._excess.approach(excess)
         self._observer.predict(
             PlanStart(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
                   distance=0.0),
@@ -220,7 +227,7 @@ class Mpc:
                 spin_rate=(state[9:] - before[9:]) / self.period,
             ),
         )  # fmt: skip
-        length = geometry.length + self._excess + self._observer.surplus
+        length = geometry.length + self._excess.value + self._observer.surplus
         return self._winches.follow(length, geometry.jacobian @ state[6:])
 
     def _fall_back(self, now: float) -> Array:
@@ -246,20 +253,19 @@ class Mpc:
         self.record.fallbacks["to rest" if has_goal else "hold"] += 1
         return self._winches.accelerate(acceleration)
 
-    def _update_excess(
-        self, position: Array, rotation: Array, tension: Array, *, share: float
-    ) -> Geometry:
-        """Move sag less stretch towards that of a pose and its tensions; its geometry."""
-        geometry = geometry_at(self._robot, position, rotation)
-        excess = excess_at(self._robot, position, rotation, tension, geometry)
-        known = np.isfinite(excess)
-        self.record.no_cable += not known.all()
-        self._excess = self._excess + share * np.where(known, excess - self._excess, 0.0)
-        return geometry
+    def _first_excess(self, belief: Belief, geometry: Geometry) -> Array:
+        """Return sag less stretch at the start [m], shape (n,); NaN where a cable cannot hang.
 
-    def _share(self) -> float:
-        """Return the share of a new sag that counts at once."""
-        return float(1.0 - np.exp(-self.period / self._excess_time))
+        With more cables than six, the believed tensions may be others than those of rest.
+        """
+        position, rotation = belief.position[0], belief.rotation[0]
+        rest = self._targets.at(position)
+        excess = excess_at(self._robot, position, rotation, rest, geometry)
+        if belief.tension is not None:
+            told = excess_under(self._robot, position, rotation, belief.tension[0], geometry)
+            excess = np.where(np.isfinite(told), told, excess)
+        self.record.no_cable += not np.isfinite(excess).all()
+        return excess
 
 
 def _check_one(belief: Belief) -> None:

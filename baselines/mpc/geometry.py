@@ -72,6 +72,12 @@ def excess_at(
     """
     pull = -tension[:, None] * geometry.direction
     pull[:, 2] -= 0.5 * robot.weight_per_length * geometry.free
-    at_platform = np.linalg.norm(pull, axis=1)
-    cables = length_at_tension(robot, position[None], rotation[None], at_platform[None])
+    return excess_under(robot, position, rotation, np.linalg.norm(pull, axis=1), geometry)
+
+
+def excess_under(
+    robot: Robot, position: Array, rotation: Array, tension: Array, geometry: Geometry
+) -> Array:
+    """Return the same as `excess_at` for tensions at the platform [N], shape (n,)."""
+    cables = length_at_tension(robot, position[None], rotation[None], tension[None])
     return np.asarray(cables.unstrained_length[0] - geometry.length)

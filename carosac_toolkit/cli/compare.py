@@ -47,6 +47,7 @@ from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 from carosac_toolkit.trajectories.catalogue import default_limits
+from carosac_toolkit.trajectories.path_file import is_path_file
 
 
 def run(options: Options) -> CommandResult:
@@ -58,7 +59,9 @@ def run(options: Options) -> CommandResult:
     study, left_out = _study(options)
     study.check()
     if options.baseline is not None:
-        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.suites))
+        check_baseline(
+            options.baseline, ways_of(study.controllers, study.estimators, study.sensors)
+        )
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     if options.animation:
@@ -111,7 +114,7 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
         robots=options.robots,
         controllers=controllers,
         estimators=estimators,
-        suites=options.suites or usual.suites,
+        sensors=options.sensors or usual.sensors,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
         seeds=range(options.seed, options.seed + count),
@@ -131,7 +134,7 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
 
 def _words(options: Options, study: Study) -> list[str]:
     """Return the command line that repeats this study."""
-    axes = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+    axes = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
     return [
         "carosac", "compare",
         *(word for name in axes for word in (f"--{name}", *getattr(study, name))),
@@ -149,12 +152,17 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """Describe the study that is about to run."""
+    drawn = [name for name in study.trajectories if not is_path_file(name)]
+    files = [name for name in study.trajectories if name not in drawn]
+    paths = [f"{counted(len(drawn), 'trajectory', 'trajectories')} ({', '.join(drawn)}) of up to "
+             f"{_limits(study)}"] if drawn else []  # fmt: skip
+    if files:
+        own = "as fast as the file says" if len(files) == 1 else "as fast as the files say"
+        paths.append(f"{', '.join(files)} {own}")
     return (
         f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
-        f"{', '.join(study.perturbations)}: "
-        f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
-        f"({', '.join(study.trajectories)}) of up to {_limits(study)}, "
-        f"{counted(len(study.seed_list), 'seed')}"
+        f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
+        f"{counted(len(study.seed_list), 'seed')}, in all {counted(len(study.cases()), 'case')}"
     )
 
 

@@ -33,12 +33,15 @@ class Options(CommonOptions):
     against: str | None = None
     """With --suite: folder of results of the same suite to compare with in pairs, such as
     benchmarks/reference."""
-    suites: tuple[str, ...] = ()
-    """Sensor suites of the driver; by default lengths+imu."""
+    sensors: tuple[str, ...] = ()
+    """Sensors of the driver: `lengths`, `lengths+imu`, `lengths+pose`, `lengths+imu+pose`,
+    `lengths+tension` or `lengths+imu+tension`; by default lengths+imu."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )
-    """Trajectories of the catalogue."""
+    """Trajectories of the catalogue, or files: a .csv with the columns time_s, position_x_m,
+    position_y_m and position_z_m, or a recording or the folder with one; its speeds are the
+    file's."""
     perturbations: Annotated[
         tuple[str, ...],
         tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
@@ -53,8 +56,8 @@ class Options(CommonOptions):
     `module:Class`. On others than `simulator` the defaults are the first two controllers, the
     estimator kinematic_solver and lengths alone."""
     speed: float | None = None
-    """Largest speed of the trajectories [m/s]; by default 1 m/s on the robot carosac, 2 m/s for
-    fast_move, and on other robots as much more or less as their size asks for."""
+    """Largest speed of the trajectories of the catalogue [m/s]; by default 1 m/s on the robot
+    carosac, 2 m/s for fast_move, and on others as much more or less as their size asks for."""
     acceleration: float | None = None
     """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2, and
     2 m/s^2 for fast_move."""
@@ -65,7 +68,7 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     baseline: str | None = None
     """Baseline of all paired comparisons: a controller, or those parts of `CONTROLLER / ESTIMATOR /
-    SUITE` that differ; by default the first row of the table."""
+    SENSORS` that differ; by default the first row of the table."""
     animation: tuple[str, ...] = ()
     """Draw animation.webp, which takes half a minute: the first seed of these controllers, one to
     three, side by side, with cables coloured by tension."""

@@ -11,7 +11,7 @@ from carosac_toolkit.studies import read_rows
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
 
-TWO = ["--controllers", "straight_line", "kinematic_solver", "--suites", "lengths"]
+TWO = ["--controllers", "straight_line", "kinematic_solver", "--sensors", "lengths"]
 FAST = ["--trajectories", "line", "--speed", "2.5", "--acceleration", "2.5", "--seeds", "1",
         "--estimators", "kinematic_solver"]  # fmt: skip
 ALONE = [*FAST, "--workers", "0"]
@@ -89,7 +89,7 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     assert data["cases"] == 4
     assert [line["controller"] for line in data["summary"]] == ["straight_line", "kinematic_solver"]
     for line in data["summary"]:
-        assert line["estimator"] == "kinematic_solver" and line["suite"] == "lengths"
+        assert line["estimator"] == "kinematic_solver" and line["sensors"] == "lengths"
         assert line["robot"] == "carosac" and line["reasons"] == {}
         for key in ("tracking_rmse_m", "estimation_rmse_m"):
             assert set(line[key]) == {"x", "y", "z", "norm"}
@@ -286,8 +286,9 @@ def test_a_controller_that_is_left_out_is_told(capsys):
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
         (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
         (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
-        (["--suites", "lenghts"], "suite: got 'lenghts'"),
-        (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
+        (["--estimators", "truthh"], "did you mean 'truth'?"),
+        (["--sensors", "lenghts"], "sensors: got 'lenghts'"),
+        (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
         (["--robot", "carosak"], "did you mean 'carosac'"),
@@ -322,3 +323,52 @@ def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(words, m
     assert message in captured.err.replace('"', "'")
     assert captured.out == ""
     assert names() == before
+
+
+PATH_ROWS = "0,0.4,-1.8,2.2\n1,0.6,-1.8,2.2\n2,0.4,-1.8,2.2\n"
+PATH_HEADER = "time_s,position_x_m,position_y_m,position_z_m\n"
+
+
+def test_a_path_of_the_user_is_run_and_its_study_viewed_from_anywhere(
+    tmp_path, monkeypatch, capsys
+):
+    Path("paths").mkdir()
+    Path("paths/mine.csv").write_text(PATH_HEADER + PATH_ROWS)
+    words = ["compare", "--trajectories", "paths/mine.csv", "--seeds", "2", "--workers", "0"]
+    words += ["--controllers", "kinematic_solver", "--driver", "quasi_static", "--output", "out"]
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "paths/mine.csv as fast as the file says, 2 seeds, in all 2 cases" in " ".join(
+        out.split()
+    )
+    (copy,) = Path("out/trajectories").iterdir()
+    assert copy.name.startswith("mine-") and copy.read_text() == PATH_HEADER + PATH_ROWS
+    assert f"trajectories/{copy.name}" in Path("out/report.html").read_text()
+    rows = read_rows("out")
+    assert {row["trajectory"] for row in rows} == {"paths/mine.csv"}
+    assert not {"speed_max", "acceleration_max"} & set(json.loads(rows[0]["settings"]))
+    Path("elsewhere").mkdir()
+    Path("paths/mine.csv").unlink()
+    monkeypatch.chdir("elsewhere")
+    assert main(["view", "../out", "--html", "run.html"]) == 0
+
+    monkeypatch.chdir("..")
+    Path("paths/mine.csv").write_text(PATH_HEADER + PATH_ROWS.replace("0.6", "0.7"))
+    assert main(words) == 2  # another path under the same name is another study
+    assert "holds another study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["high.csv"], "high.csv: z at 2.000 s: got 6.0000 m; allowed: 1 m to 5 m, the box of"),
+        (["none.csv"], "none.csv: no such file; a trajectory is a .csv, or a recording"),
+        (["high.csv", "--speed", "2"], "speed_max: got 2.0 m/s; allowed: none: all trajectories"),
+        (["circel"], "or ./FOLDER with one; did you mean 'circle'?"),
+    ],
+)
+def test_bad_paths_are_refused_before_any_work(words, message, capsys):
+    Path("high.csv").write_text(f"{PATH_HEADER}0,0.4,-1.8,2.2\n2,0.4,-1.8,6\n")
+    assert main(["compare", "--output", "out", "--trajectories", *words]) == 2
+    assert message in capsys.readouterr().err
+    assert names() == ["high.csv"]

@@ -24,12 +24,12 @@ class DefaultChoice:
     Attributes:
         controllers: Names of controllers, the baseline first.
         estimators: Names of estimators.
-        suites: Sensor suites of the driver.
+        sensors: Sensors of the driver.
     """
 
     controllers: tuple[str, ...]
     estimators: tuple[str, ...]
-    suites: tuple[str, ...]
+    sensors: tuple[str, ...]
 
 
 SIMULATED = DefaultChoice(

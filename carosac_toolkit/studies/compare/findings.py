@@ -204,7 +204,7 @@ def _believer(results: StudyResults, group: int) -> str:
     """Name the estimator of a group, and how it differs from the other groups."""
     line = results.summary[group]
     label = str(line["estimator"])
-    for name, word in (("controller", "under"), ("suite", "on")):
+    for name, word in (("controller", "under"), ("sensors", "with")):
         if len({other[name] for other in results.summary}) > 1:
             label += f" {word} {line[name]}"
     return label

@@ -54,10 +54,12 @@ class Progress:
         return sum(self._counts.values())
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Count rows, and report from time to time."""
+        """Count rows, and report from time to time, and as soon as the rest can be estimated."""
+        first = self.finished == self._before
         self._count(rows)
         now = time.monotonic()
-        if now - self._shown >= self._interval:
+        estimable = first and self._before < self.finished < self._total
+        if estimable or now - self._shown >= self._interval:
             self._shown = now
             self._interval *= 1.0 if self._terminal else 2.0
             self._tell(end="" if self._terminal else "\n")

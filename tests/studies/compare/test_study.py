@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw th
 PLAIN = "tests.studies.tables:PlainDriver"
 FAST = {
     "controllers": ["straight_line", "kinematic_solver"], "estimators": ["kinematic_solver"],
-    "suites": ["lengths"], "trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5,
+    "sensors": ["lengths"], "trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5,
 }  # fmt: skip
 
 
@@ -83,8 +83,8 @@ def test_a_group_without_any_score_has_nulls_and_is_not_complete():
     json.dumps(results.data(), allow_nan=False)
 
 
-def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
-    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("suite", "s"),
+def test_a_group_is_a_robot_controller_estimator_sensors_and_perturbation():
+    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("sensors", "s"),
              ("robot", "scampi"), ("perturbation", "nominal-1")]  # fmt: skip
     rows = [
         good(case(**{"controller": "a"} | {name: x}, seed=seed), (1, 0, 0))
@@ -100,7 +100,7 @@ def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
 
 def test_long_names_keep_the_table_within_its_width():
     names = [f"a.very.long.package.of.somebody:Controller{k}" for k in range(2)]
-    rows = [good(case(name, suite="lengths+imu+pose"), (1, 0, 0)) for name in names]
+    rows = [good(case(name, sensors="lengths+imu+pose"), (1, 0, 0)) for name in names]
     text = terminal_table(study(rows), 80)
     assert max(map(len, text.splitlines())) <= 80
     assert "Controller0 " in text and "Controller1 " in text and "..." not in text
@@ -175,12 +175,12 @@ def test_by_default_five_controllers_track_one_fast_move_behind_the_dynamic_esti
     assert study.controllers == (
         "straight_line", "kinematic_solver", "input_shaping", "mpc", "td3"
     )  # fmt: skip
-    assert study.estimators == ("dynamic_estimator",) and study.suites == ("lengths+imu",)
+    assert study.estimators == ("dynamic_estimator",) and study.sensors == ("lengths+imu",)
     assert {case.trajectory for case in study.cases()} == {"fast_move"}
     assert {case.settings["speed_max"] for case in study.cases()} == {2.0}
     elsewhere = ct.Study(driver="quasi_static")
     assert elsewhere.controllers == ("straight_line", "kinematic_solver")
-    assert elsewhere.estimators == ("kinematic_solver",) and elsewhere.suites == ("lengths",)
+    assert elsewhere.estimators == ("kinematic_solver",) and elsewhere.sensors == ("lengths",)
 
 
 def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp_path):
@@ -204,17 +204,17 @@ def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp
         ({"seeds": [1, 1]}, "seeds: got"),
         ({"seeds": [-1]}, "seed: got -1"),
         ({"controllers": "straight_line"}, "controllers: got 'straight_line'; allowed: a list"),
-        ({"controllers": []}, "controllers: got ()"),
+        ({"controllers": []}, "controllers: got none"),
         ({"controllers": ["straight_lime"]}, "did you mean 'straight_line'"),
         ({"estimators": ["json:dumps"]}, "a class with build"),
         ({"trajectories": ["circel"]}, "did you mean 'circle'"),
         ({"perturbations": ["nominal1"]}, "did you mean 'nominal-1'"),
-        ({"suites": ["lengths+imu"], "driver": "quasi_static"}, "suite: got 'lengths+imu'"),
+        ({"sensors": ["lengths+imu"], "driver": "quasi_static"}, "sensors: got 'lengths+imu'"),
         (
             {"driver_settings": {"wind_force": 2.0}},
             "driver_settings.wind_force: got 2.0; allowed: none",
         ),
-        ({"driver": PLAIN, "suites": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
+        ({"driver": PLAIN, "sensors": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
         ({"driver": PLAIN, "estimators": ["truth"]}, f"driver {PLAIN} knows no truth"),
         ({"speed_max": float("nan")}, "speed_max: got nan m/s"),
         ({"acceleration_max": -1.0}, "acceleration_max: got -1.0 m/s^2"),

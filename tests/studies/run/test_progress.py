@@ -82,3 +82,14 @@ def test_quiet_says_nothing():
     bar.say("something")
     bar.close()
     assert stream.getvalue() == ""
+
+
+def test_the_rest_is_estimated_with_the_first_case_however_soon_it_ends(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    bar = Progress(300, rows(0), quiet=False, stream=stream)
+    for _ in range(3):
+        now[0] += 2.0
+        bar.add(rows(1))
+    assert stream.getvalue().splitlines() == ["study: 1/300 cases, 0:00:02, 0:09:58 to go"]
