@@ -141,7 +141,7 @@ def pictures(files: Mapping[str, bytes], captions: Mapping[str, str]) -> list[st
 
 
 def picture(image: bytes, caption: str, others: Sequence[str] = ()) -> str:
-    """Embed one picture, PNG or WebP, with links to files that hold it in other formats."""
+    """Embed one picture, PNG or WebP, with links to its files in other formats beside the page."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
     kind = "webp" if image[8:12] == b"WEBP" else "png"
     source = f"data:image/{kind};base64,{text}"

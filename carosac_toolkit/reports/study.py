@@ -90,26 +90,6 @@ def write_report(
     return write_files(results.folder, {**images, **files, "report.html": document.encode()})
 
 
-def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, bytes]:
-    """Draw the pictures for which there are data, as files in all formats."""
-    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
-    from carosac_toolkit.pictures.groups import robot_names
-    from carosac_toolkit.pictures.paired import comparable, draw_paired
-    from carosac_toolkit.pictures.saving import picture_files
-
-    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
-    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
-        names = [name for name in names if name != "rmse_distribution"]
-    if not names and curves_of(results.rows):  # all cases diverged
-        names = ["paths", "error_over_time"]
-    if not names and estimated(results.rows):  # nothing follows commands on a recording
-        names = ["estimation"]
-    figures = {name: COMPARISON_PICTURES[name](results) for name in names}
-    if comparable(blocks):
-        figures = {"paired": draw_paired(blocks, robot_names(results)), **figures}
-    return picture_files(figures)
-
-
 def check_animation(controllers: Sequence[str], known: Sequence[str]) -> None:
     """Refuse an animation that could not be drawn, before a study runs.
 
@@ -135,6 +115,26 @@ def animation_of(results: StudyResults, controllers: Sequence[str]) -> bytes:
     from carosac_toolkit.pictures.motions import motions_of
 
     return animation_webp(motions_of(results.folder, results.rows, controllers))
+
+
+def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, bytes]:
+    """Draw the pictures for which there are data, as files in all formats."""
+    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+    from carosac_toolkit.pictures.groups import robot_names
+    from carosac_toolkit.pictures.paired import comparable, draw_paired
+    from carosac_toolkit.pictures.saving import picture_files
+
+    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
+    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
+        names = [name for name in names if name != "rmse_distribution"]
+    if not names and curves_of(results.rows):  # all cases diverged
+        names = ["paths", "error_over_time"]
+    if not names and estimated(results.rows):  # nothing follows commands on a recording
+        names = ["estimation"]
+    figures = {name: COMPARISON_PICTURES[name](results) for name in names}
+    if comparable(blocks):
+        figures = {"paired": draw_paired(blocks, robot_names(results)), **figures}
+    return picture_files(figures)
 
 
 def _origin(results: StudyResults, words: Sequence[str]) -> str:

@@ -24,7 +24,7 @@ class DefaultChoice:
     Attributes:
         controllers: Names of controllers, the baseline first.
         estimators: Names of estimators.
-        sensors: What measures, such as ``lengths+imu``.
+        sensors: Sensors of the driver.
     """
 
     controllers: tuple[str, ...]

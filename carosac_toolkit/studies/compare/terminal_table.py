@@ -167,7 +167,7 @@ def _columns(results: StudyResults) -> list[_Column]:
                 "time below tension_min"),
         _Column("limited", limited, 0, "commands changed by a limit"),
         _Column("cases", cases, 0, lost),
-        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency"),
+        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency [ms]"),
     ]  # fmt: skip
     kept = {"tracking", "cases"}
     return [c for c in columns if c.title in kept or any(c.cell(x) != "-" for x in results.summary)]

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw th
 PLAIN = "tests.studies.tables:PlainDriver"
 FAST = {
     "controllers": ["straight_line", "kinematic_solver"], "estimators": ["kinematic_solver"],
-    "suites": ["lengths"], "trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5,
+    "sensors": ["lengths"], "trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5,
 }  # fmt: skip
 
 
