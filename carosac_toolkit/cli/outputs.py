@@ -23,6 +23,8 @@ OWN_FILES = {  # in folders of results, with a text in each that others hardly h
     "report.html": "carosac",
     "report_settings.json": "carosac",
     "scores.npz": "position",
+    "estimate.parquet": "carosac",
+    "smoothed.parquet": "carosac",
     "settings.json": "td3",
     "*/settings.json": "td3",
     "positions*.csv": "margin",

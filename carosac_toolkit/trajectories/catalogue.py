@@ -133,7 +133,7 @@ _TRAJECTORY_BUILDERS: dict[
     "cubic_spline": _cubic_spline,
     "waypoints": _waypoints,
     "line": _line,
-    FAST_MOVE: _fast_move,
+    "fast_move": _fast_move,
     "circle": _circle,
     "spiral": _spiral,
 }

@@ -237,7 +237,7 @@ def test_the_default_study_is_one_table_with_tensions_and_sway_and_an_animation(
     assert main(["compare", *words, "mpc", "td3", "--json", "x.json"]) == 0
     out = capsys.readouterr().out
     head = next(line for line in out.splitlines() if line.startswith("controller"))
-    assert all(name in head for name in ("tracking", "sway", "tension [N]", "slack", "limited"))
+    assert all(name in head for name in ("track", "sway", "tension", "slack", "limit", "cases"))
     assert len(out.splitlines()) <= 22 and max(map(len, out.splitlines())) <= 80
     assert "report and animation.webp: o/report.html" in out
     data = json.loads(Path("x.json").read_text())

@@ -74,10 +74,9 @@ def test_the_report_stands_alone_and_says_where_it_comes_from(short):
 
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_second_call_replaces_the_report_and_leaves_other_files(short):
-    Path("out").mkdir()
-    Path("out/mine.txt").write_text("keep")
     for models in (["straight_line"], ["kinematic_solver"]):
         assert main(["validate", str(short), "--output", "out", "--models", *models]) == 0
+        Path("out/mine.txt").write_text("keep")
     assert Path("out/mine.txt").read_text() == "keep"
     assert "straight_line" not in Path("out/report.html").read_text()
     assert not [name for name in names(".") if name.startswith(".")]
@@ -295,8 +294,10 @@ def test_the_bundled_recording_shows_delay_and_sway():
 
 def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "out" / "report.html").mkdir(parents=True)
+    (tmp_path / "out" / "report_settings.json").write_text("carosac")  # a folder of ours
     words = ["synthetic", "--stop", "90", "--models", "straight_line"]
     status = main(["validate", *words, "--output", str(tmp_path / "out")])
     assert status == 2
     assert "no folder named report.html in it" in capsys.readouterr().err
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]
+    found = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert found == ["report.html", "report_settings.json"]
