@@ -74,7 +74,7 @@ def terminal_table(results: StudyResults, width: int) -> str:
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns that `terminal_table` shows, and name estimator and sensors of all rows."""
+    """Explain the columns shown, and name estimator and sensors of all rows."""
     titles = {title for title, _ in shown_names(results)}
     shared = [
         f"{name} {_short(name, results)[0]}" for name in ("estimator", "sensors")
