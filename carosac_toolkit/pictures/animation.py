@@ -264,7 +264,7 @@ def _title(motion: Motion) -> str:
 
 def _subtitle(motions: Sequence[Motion]) -> str:
     """Say what the motions have in common."""
-    estimators = dict.fromkeys(f"{m.estimator.replace('_', ' ')} on {m.suite}" for m in motions)
+    estimators = dict.fromkeys(f"{m.estimator.replace('_', ' ')} on {m.sensors}" for m in motions)
     return f"same plant, wind and noise; {', '.join(estimators)}; circle: where it should be"
 
 

@@ -15,7 +15,7 @@ from carosac_toolkit.studies.run.robot_copies import robot_of_row
 from carosac_toolkit.studies.run.rows import Row
 
 GROUPS_MAX = len(SERIES_COLORS)  # groups that can be told apart
-ESTIMATOR_COLUMNS = ("robot", "estimator", "suite", "perturbation")
+ESTIMATOR_COLUMNS = ("robot", "estimator", "sensors", "perturbation")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ class Motion:
     Attributes:
         controller: Name of its controller.
         estimator: Name of its estimator.
-        suite: Sensor suite of its driver.
+        sensors: Sensors of its driver.
         plant: Robot that moved: the one drawn from the condition, not the nominal one.
         time: From the start [s], shape (S,).
         reference: Platform origin asked for in W [m], shape (S, 3).
@@ -43,7 +43,7 @@ class Motion:
 
     controller: str
     estimator: str
-    suite: str
+    sensors: str
     plant: Robot
     time: Array
     reference: Array
@@ -102,7 +102,7 @@ def _motion(folder: Path, row: Row) -> Motion | None:
     hanging = hanging_cables(plant, position, rotation, length, samples=CABLE_SAMPLES)
     return Motion(
         controller=str(row["controller"]), estimator=str(row["estimator"]),
-        suite=str(row["suite"]), plant=plant, time=time - time[0],
+        sensors=str(row["sensors"]), plant=plant, time=time - time[0],
         reference=np.array(series["reference_m"]), position=position, rotation=rotation,
         tension=np.array(series["tension_N"]), cables=hanging.points,
     )  # fmt: skip

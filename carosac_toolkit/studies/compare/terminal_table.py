@@ -77,7 +77,7 @@ def caption(results: StudyResults, width: int) -> str:
     """Explain the columns that `terminal_table` shows, and name estimator and suite of all rows."""
     titles = {title for title, _ in shown_names(results)}
     shared = [
-        f"{name} {_short(name, results)[0]}" for name in ("estimator", "suite")
+        f"{name} {_short(name, results)[0]}" for name in ("estimator", "sensors")
         if name not in titles
     ]  # fmt: skip
     explained = [c for c in _fitting(results, width) if c.words]
