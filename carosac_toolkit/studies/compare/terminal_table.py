@@ -156,7 +156,7 @@ def _columns(results: StudyResults) -> list[_Column]:
     several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
         _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
-                "RMSE of the position [mm]"),
+                "RMSE [mm]"),
         _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
                 "RMS after the end [mm]"),
         _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
@@ -164,8 +164,8 @@ def _columns(results: StudyResults) -> list[_Column]:
         _Column("NEES", _nees, 3, "consistency of the covariance, 1 is right, + overconfident"),
         _Column("tension [N]", tension_range, 0, f"of any cable{allowed}"),
         _Column("slack", lambda x: percent(x["slack_share"]), 0,
-                "time below tension_min"),
-        _Column("limited", limited, 0, "commands changed by a limit"),
+                "below tension_min"),
+        _Column("limited", limited, 0, "commands changed"),
         _Column("cases", cases, 0, lost),
         _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency [ms]"),
     ]  # fmt: skip
