@@ -110,15 +110,16 @@ def _run(name: str, words: list[str]) -> int:
     from carosac_toolkit.base.files import write_json
     from carosac_toolkit.cli.arguments import parse_options
     from carosac_toolkit.cli.common import CommandResult
-    from carosac_toolkit.cli.outputs import check_outputs
+    from carosac_toolkit.cli.outputs import check_outputs, mark_outputs
 
     module: ModuleType = load("commands", name, complete=False)
     options = parse_options(module, name.replace(".", " "), words)  # here --help ends it
     load("commands", name)
-    check_outputs(options)
+    spoken_name = name.replace(".", " ")
+    check_outputs(options, spoken_name)
     json_path: Path | None = getattr(options, "json", None)
     try:
-        with plain_output(), naming_extras(f"command '{name.replace('.', ' ')}'"):
+        with plain_output(), naming_extras(f"command '{spoken_name}'"):
             answer = module.run(options)
     except SystemExit as error:
         if error.code:
@@ -128,6 +129,7 @@ def _run(name: str, words: list[str]) -> int:
             f"{name}: ended by sys.exit({error.code!r}) in code it called"
         ) from error
     result = answer if isinstance(answer, CommandResult) else CommandResult(status=int(answer))
+    mark_outputs(options, spoken_name)
     if json_path is not None:
         write_json(json_path, result.data)
     return result.status

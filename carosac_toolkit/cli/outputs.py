@@ -16,22 +16,19 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable, try_folder
 
-OWN_FILES = {  # in folders of results, with a text in each that others hardly have
-    "study.json": '"carosac-study/',
-    "*/study.json": '"carosac-study/',
-    "reference.json": '"carosac-reference/',
-    "report.html": "carosac",
-    "report_settings.json": "carosac",
-    "scores.npz": "position",
-    "estimate.parquet": "carosac",
-    "smoothed.parquet": "carosac",
-    "settings.json": "td3",
-    "*/settings.json": "td3",
-    "positions*.csv": "margin",
-    "positions*.parquet": "margin",
-    "[01][0-9]_*.*": "",  # figures
-}
-OWN_BYTES_MAX = 2**23  # [bytes] of a file that are searched
+MARKER_FILE = ".carosac-results"  # in folders of results: the commands that wrote them, a line each
+DEFAULT_FOLDER = "carosac-results"  # whatever is below it is ours
+# What a command writes before its results, so that an interrupted run can be continued: pattern,
+# text in it, command.
+EARLY_FILES = (
+    ("study.json", '"carosac-study/', "compare"),
+    ("*/study.json", '"carosac-study/', "compare"),
+    ("reference.json", '"carosac-reference/', "compare"),
+    ("settings.json", "td3", "train"),
+    ("*/settings.json", "td3", "train"),
+    ("*/*/settings.json", "td3", "train"),
+)
+MAY_JOIN = {"figures": "compare"}  # commands whose files lie beside those of another
 NAMES_SHOWN = 3
 
 
@@ -43,24 +40,35 @@ class _Named(NamedTuple):
     folder: bool = False
 
 
-def check_outputs(options: Any) -> None:
+def check_outputs(options: Any, command: str = "") -> None:
     """Check every output of a command before it does anything.
 
     Args:
         options: Instance of the command's ``Options``.
+        command: Its name, whose earlier results may be continued or replaced.
 
     Raises:
         InvalidField: An output is an input, is given twice, or cannot be written.
     """
     hints = get_type_hints(type(options), include_extras=True)
-    outputs = [named for f in fields(options) for named in _outputs(f, hints[f.name], options)]
+    outputs = _all_outputs(options, hints)
     inputs = [named for f in fields(options) for named in _inputs(f, hints[f.name], options)]
     for k, output in enumerate(outputs):
         _check_clash(output, inputs, outputs[:k])
         if output.folder:
-            _check_folder(output)
+            _check_folder(output, command)
         else:
             check_writable(output.option, output.path)
+
+
+def mark_outputs(options: Any, command: str) -> None:
+    """Leave a note in the output folders of a command that ran, by which it knows them again."""
+    hints = get_type_hints(type(options), include_extras=True)
+    for output in _all_outputs(options, hints):
+        if output.folder and output.path.is_dir():
+            names = sorted({*_marked(output.path), command})
+            with contextlib.suppress(OSError):  # the results are there; only the note is missing
+                (output.path / MARKER_FILE).write_text("\n".join(names) + "\n", encoding="utf-8")
 
 
 def _check_clash(output: _Named, inputs: Sequence[_Named], earlier: Sequence[_Named]) -> None:
@@ -72,7 +80,7 @@ def _check_clash(output: _Named, inputs: Sequence[_Named], earlier: Sequence[_Na
             raise InvalidField(output.option, f"'{output.path}'", allowed)
 
 
-def _check_folder(output: _Named) -> None:
+def _check_folder(output: _Named, command: str) -> None:
     """Refuse an output folder that cannot be made or written."""
     existing = output.path
     while not os.path.lexists(existing) and existing != existing.parent:
@@ -81,32 +89,46 @@ def _check_folder(output: _Named) -> None:
         allowed = f"a folder; {existing} is a file" if os.path.exists(existing) else "a folder"
         raise InvalidField(output.option, f"'{output.path}'", allowed)
     try_folder(output.option, output.path, existing)
-    _check_own(output)
+    _check_own(output, command)
 
 
-def _check_own(output: _Named) -> None:
-    """Refuse a folder with files of somebody else and no results of ours."""
+def _check_own(output: _Named, command: str) -> None:
+    """Refuse a folder with files of somebody else, or with results of another command only."""
     try:
         held = sorted(x.name for x in os.scandir(output.path) if not x.name.startswith("."))
     except OSError:  # not there yet
         return
-    if held and not _is_ours(output.path):
-        more = f" and {len(held) - NAMES_SHOWN} more" if len(held) > NAMES_SHOWN else ""
-        allowed = (
-            "a new or empty folder, or one with results of carosac; this one holds "
-            f"{', '.join(held[:NAMES_SHOWN])}{more}"
-        )
-        raise InvalidField(output.option, f"'{output.path}'", allowed)
+    commands = _commands_of(output.path)
+    if not held or command in commands or MAY_JOIN.get(command) in commands:
+        return
+    if DEFAULT_FOLDER in output.path.resolve().parts[:-1]:
+        return
+    more = f" and {len(held) - NAMES_SHOWN} more" if len(held) > NAMES_SHOWN else ""
+    holds = f"{', '.join(held[:NAMES_SHOWN])}{more}"
+    if commands:
+        holds = f"results of carosac {' and '.join(sorted(commands))}"
+    own = f"carosac {command}" if command else "this command"
+    allowed = f"a new or empty folder, or one with results of {own}; this one holds {holds}"
+    raise InvalidField(output.option, f"'{output.path}'", allowed)
 
 
-def _is_ours(folder: Path) -> bool:
-    """Return whether a folder holds a file that only a command of the toolkit writes."""
-    for pattern, text in OWN_FILES.items():
+def _commands_of(folder: Path) -> set[str]:
+    """Return the commands that have written results into a folder."""
+    found = _marked(folder)
+    for pattern, text, command in EARLY_FILES:
         for path in folder.glob(pattern):
-            with contextlib.suppress(OSError), path.open("rb") as file:
-                if text.encode() in file.read(OWN_BYTES_MAX):
-                    return True
-    return False
+            with contextlib.suppress(OSError):
+                if text in path.read_text(encoding="utf-8", errors="replace"):
+                    found.add(command)
+    return found
+
+
+def _marked(folder: Path) -> set[str]:
+    """Return the commands in the note of a folder."""
+    try:
+        return set((folder / MARKER_FILE).read_text(encoding="utf-8").split("\n")) - {""}
+    except (OSError, UnicodeDecodeError):
+        return set()
 
 
 def same_file(one: Path, other: Path) -> bool:
@@ -115,6 +137,11 @@ def same_file(one: Path, other: Path) -> bool:
         return os.path.samefile(one, other)
     except OSError:
         return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _all_outputs(options: Any, hints: dict[str, Any]) -> list[_Named]:
+    """Return the outputs that all fields hold."""
+    return [named for f in fields(options) for named in _outputs(f, hints[f.name], options)]
 
 
 def _outputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:

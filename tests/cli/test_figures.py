@@ -97,7 +97,7 @@ def test_every_figure_of_the_paper_is_drawn_from_one_folder_above_all(folders, t
     assert data["skipped"] == [] and "0 skipped" in capsys.readouterr().out
     names = [one["name"] for one in data["figures"]]
     assert names == sorted(names) and len(names) == len(all_figures()) + 1  # two stages
-    assert sorted(path.name for path in out.iterdir()) == sorted(
+    assert sorted(path.name for path in out.glob("[!.]*")) == sorted(
         f"{name}.{suffix}" for name in names for suffix in ("png", "svg")
     )
     sources = {one["name"][3:]: Path(one["source"] or ".").name for one in data["figures"]}
@@ -118,7 +118,7 @@ def test_the_style_of_papers_has_serif_letters_in_all_formats(folders, tmp_path,
     words = ["figures", str(folders / "compare"), "--output", str(out), "--style", "paper"]
     assert main(words) == 0
     assert families == {"STIXGeneral"}
-    assert {path.suffix for path in out.iterdir()} == {".png", ".svg", ".pdf"}
+    assert {path.suffix for path in out.glob("[!.]*")} == {".png", ".svg", ".pdf"}
 
 
 def test_what_is_missing_is_named_with_the_command_that_makes_it(tmp_path, capsys):

@@ -143,14 +143,15 @@ FOLDER_COMMANDS = [
 @pytest.mark.parametrize("words", FOLDER_COMMANDS, ids=lambda words: " ".join(words))
 def test_a_folder_of_others_is_refused_and_left_as_it_was(mine, capsys, words):
     os.mkdir("theirs")
-    for name in ("a.txt", "report.html", "study.json", "positions.csv", "settings.json"):
-        Path("theirs", name).write_text("not ours")
+    names = ("01_intro.tex", "report.html", "study.json", "positions.csv", "settings.json")
+    for name in names:
+        Path("theirs", name).write_text("not ours, although carosac has a margin")
     error = refused(capsys, [*words, "theirs"])
     assert (
         f"{words[-1]}: got 'theirs'; allowed: a new or empty folder, or one with results" in error
     )
-    assert "holds a.txt, positions.csv, report.html and 2 more" in error
-    assert {path.read_text() for path in Path("theirs").iterdir()} == {"not ours"}
+    assert "holds 01_intro.tex, positions.csv, report.html and 2 more" in error
+    assert {path.read_text()[:8] for path in Path("theirs").iterdir()} == {"not ours"}
     assert sorted(os.listdir()) == ["h.yaml", "theirs"]
 
 
@@ -168,4 +169,21 @@ def test_a_folder_with_results_of_ours_is_taken_again(mine):
 def test_a_reference_suite_that_was_interrupted_is_ours(mine):
     os.makedirs("out/tracking-carosac")
     Path("out/tracking-carosac/study.json").write_text('{"schema": "carosac-study/1"}')
-    check_outputs(FutureOptions(results=Path("out")))
+    check_outputs(FutureOptions(results=Path("out")), "compare")
+
+
+def test_results_of_one_command_are_not_replaced_by_another(mine, capsys):
+    words = ["validate", "synthetic", "--stop", "90", "--models", "straight_line"]
+    assert main([*words, "--output", "out"]) == 0
+    capsys.readouterr()
+    error = refused(capsys, ["compare", "--quick", "--output", "out"])
+    assert (
+        "one with results of carosac compare; this one holds results of carosac validate" in error
+    )
+    assert main([*words, "--output", "out"]) == 0
+
+
+def test_default_folders_are_ours(mine):
+    os.makedirs("carosac-results/validate/x")
+    Path("carosac-results/validate/x/report.html").write_text("")
+    check_outputs(FutureOptions(results=Path("carosac-results/validate/x")), "validate")

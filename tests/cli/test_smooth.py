@@ -47,6 +47,7 @@ def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     assert data["converged"] and data["inertial_measurements"] > 0
     assert set(data["scores"]["all"]["rmse_m"]) == {"x", "y", "z", "norm"}
     assert {path.name for path in Path("report").iterdir()} == {
+        ".carosac-results",
         "estimate.parquet", "estimate.png", "unknowns.png",
     }  # fmt: skip
     before, after = ct.load_recording(run_file), ct.load_recording("new.csv")
@@ -125,12 +126,14 @@ def test_the_recording_is_never_overwritten(run_file, capsys):
 @pytest.mark.parametrize("name", ["smoothed.parquet", "estimate.parquet"])
 def test_nor_by_what_goes_into_the_folder(run_file, capsys, name):
     Path("run").mkdir()
+    note = Path("run/.carosac-results")
+    note.write_text("smooth")
     copied = Path(shutil.copy(run_file, Path("run") / name))
     content = copied.read_bytes()
     assert main(words(copied, "--report", "run")) == 2
     message = f"--report: got 'run/{name}'; allowed: another place; RECORDING is read from"
     assert message in capsys.readouterr().err
-    assert copied.read_bytes() == content and list(Path("run").iterdir()) == [copied]
+    assert copied.read_bytes() == content and set(Path("run").iterdir()) == {copied, note}
 
 
 def test_nor_through_a_link(run_file, capsys):
@@ -139,7 +142,8 @@ def test_nor_through_a_link(run_file, capsys):
     Path("run/smoothed.parquet").symlink_to(copied.resolve())
     Path("hard").mkdir()
     Path("hard/estimate.png").hardlink_to(copied)
-    Path("hard/report.html").write_text("carosac")  # a folder of ours
+    for folder in ("run", "hard"):
+        Path(folder, ".carosac-results").write_text("smooth")
     for folder in ("run", "hard"):
         assert main(words(copied, "--report", folder)) == 2
         assert "RECORDING is read from this file" in capsys.readouterr().err
@@ -162,6 +166,7 @@ def test_nor_by_default(run_file, capsys):
 def test_the_robot_is_never_overwritten(run_file, capsys):
     Path("robot.yaml").write_text(robot_text("carosac"))
     Path("report").mkdir()
+    Path("report/.carosac-results").write_text("smooth")
     Path("report/estimate.parquet").symlink_to(Path("robot.yaml").resolve())
     assert main(["smooth", str(run_file), "--robot", "robot.yaml", "--report", "report"]) == 2
     assert "--robot is read from this file" in capsys.readouterr().err

@@ -31,7 +31,8 @@ def short(tmp_path_factory):
 
 
 def names(folder):
-    return sorted(path.name for path in Path(folder).rglob("*"))
+    """Names of all files, without the note by which the command knows its folder again."""
+    return sorted(path.name for path in Path(folder).rglob("*") if path.name != ".carosac-results")
 
 
 def test_the_contract_of_the_json_and_the_files(short, capsys):
@@ -294,10 +295,10 @@ def test_the_bundled_recording_shows_delay_and_sway():
 
 def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "out" / "report.html").mkdir(parents=True)
-    (tmp_path / "out" / "report_settings.json").write_text("carosac")  # a folder of ours
+    (tmp_path / "out" / ".carosac-results").write_text("validate")
     words = ["synthetic", "--stop", "90", "--models", "straight_line"]
     status = main(["validate", *words, "--output", str(tmp_path / "out")])
     assert status == 2
     assert "no folder named report.html in it" in capsys.readouterr().err
     found = sorted(p.name for p in (tmp_path / "out").iterdir())
-    assert found == ["report.html", "report_settings.json"]
+    assert found == [".carosac-results", "report.html"]

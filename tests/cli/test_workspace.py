@@ -22,7 +22,7 @@ def test_pictures_are_drawn(tmp_path):
     names = {path.name for path in out.iterdir()}
     ends = ("png", "svg", "pdf")
     pictures = {f"{name}.{end}" for name in ("slices", "space", "maps_z_2") for end in ends}
-    assert names == {*pictures, "positions.csv"}
+    assert names == {*pictures, "positions.csv", ".carosac-results"}
     begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
     for name in pictures:
         assert (out / name).read_bytes().startswith(begins[name.rpartition(".")[2]])
@@ -43,7 +43,7 @@ def test_table_numbers_and_words(tmp_path, capsys):
     assert set(data["models"]) == {"sag", "straight"}
     assert [part["plane"] for part in data["slices"]["sag"]] == ["z=2", "x=0"]
     assert {path.name for path in out.iterdir()} == {
-        "positions-sag.csv", "positions-straight.csv",
+        "positions-sag.csv", "positions-straight.csv", ".carosac-results",
     }  # fmt: skip
     with (out / "positions-sag.csv").open() as file:
         rows = list(csv.DictReader(file))
