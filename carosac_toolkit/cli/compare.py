@@ -30,8 +30,8 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.compare.defaults import (
     DEFAULT_SEEDS,
     QUICK_SEEDS,
-    default_choice,
     default_controllers,
+    default_estimation,
 )
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
@@ -93,7 +93,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
-    """Return the study that the options ask for, and a sentence for each controller left out."""
+    """Return the study that the options ask for, and a sentence for each plug-in left out."""
     count = (
         options.seeds
         if options.seeds is not None
@@ -105,16 +105,19 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
         raise InvalidField("--seeds", str(count), "1 or more")
     if options.seed < 0:
         raise InvalidField("--seed", str(options.seed), "0 or more")
-    usual = default_choice(options.driver)
     controllers, left_out = options.controllers, tuple[str, ...]()
     if not controllers:
         controllers, left_out = default_controllers(options.driver, options.robots)
-    estimators = options.estimators or usual.estimators
+    estimators, sensors = options.estimators, options.sensors
+    if not (estimators and sensors):
+        usual, more = default_estimation(options.driver)
+        left_out += () if estimators else more
+        estimators, sensors = estimators or usual.estimators, sensors or usual.sensors
     study = Study(
         robots=options.robots,
         controllers=controllers,
         estimators=estimators,
-        sensors=options.sensors or usual.sensors,
+        sensors=sensors,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
         seeds=range(options.seed, options.seed + count),
@@ -172,6 +175,7 @@ def _limits(study: Study) -> str:
         default_limits(load_robot(robot), path)
         for robot in study.robots
         for path in study.trajectories
+        if not is_path_file(path)
     ]
     words = []
     for asked, values, unit in zip(

@@ -66,6 +66,7 @@ def test_a_replay_plays_and_ends(tmp_path, capsys):
 
 
 def test_what_means_nothing_is_refused_in_one_message(tmp_path, capsys):
+    before = set(threading.enumerate())
     assert "did you mean" in refused(capsys, "syntetic")
     assert "GHOST" in refused(capsys, "carosac", "scampi")
     assert "a robot, with --live" in refused(capsys, "synthetic", "--live")
@@ -85,4 +86,4 @@ def test_what_means_nothing_is_refused_in_one_message(tmp_path, capsys):
         capsys, "carosac", "--live", "--set", "driver.real_time=false"
     )
     assert list(tmp_path.iterdir()) == []
-    assert not [thread.name for thread in threading.enumerate() if thread.name == "viewer"]
+    assert "viewer" not in {thread.name for thread in set(threading.enumerate()) - before}

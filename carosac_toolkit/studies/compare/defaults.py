@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER
 from carosac_toolkit.trajectories.catalogue import FAST_MOVE
 
@@ -43,15 +45,10 @@ ON_OTHER_DRIVERS = DefaultChoice(
 )
 
 
-def default_choice(driver: object) -> DefaultChoice:
-    """Return the defaults on a driver, a name or a class."""
-    return SIMULATED if name_of(driver) == DEFAULT_DRIVER else ON_OTHER_DRIVERS  # type: ignore[arg-type]
-
-
 def default_controllers(
     driver: object, robots: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the default controllers, without those that refuse one of the robots.
+    """Return the default controllers, without those that need a missing extra or refuse a robot.
 
     A controller refuses a robot by `check_robot`: a bundled policy was trained for one robot.
 
@@ -63,17 +60,59 @@ def default_controllers(
         Names of controllers, and a sentence for each one left out.
 
     Raises:
-        CarosacError: There is no such robot.
+        CarosacError: There is no such robot, or a plug-in is broken.
     """
     kept, left_out = [], []
     loaded = [load_robot(robot) for robot in robots]
-    for name in default_choice(driver).controllers:
-        try:
-            controller = plugins.load("controllers", name)
-            for robot in loaded if hasattr(controller, "check_robot") else []:
-                controller.check_robot(robot)
-        except CarosacError as error:
-            left_out.append(f"{name} is left out. {error}")
-        else:
+    for name in _usual(driver).controllers:
+        reason = _refusal(name, loaded)
+        if reason is None:
             kept.append(name)
+        else:
+            left_out.append(f"{name} is left out. {reason}")
     return tuple(kept), tuple(left_out)
+
+
+def default_estimation(driver: object) -> tuple[DefaultChoice, tuple[str, ...]]:
+    """Return default estimators and sensors, and a sentence if those of the driver need an extra.
+
+    Raises:
+        CarosacError: A plug-in is broken.
+    """
+    usual = _usual(driver)
+    try:
+        for name in usual.estimators:
+            plugins.load("estimators", name)
+    except MissingExtra as error:
+        return ON_OTHER_DRIVERS, (f"{name} is left out. {error}",)
+    return usual, ()
+
+
+def _usual(driver: object) -> DefaultChoice:
+    """Return the defaults on a driver where nothing is missing."""
+    return SIMULATED if _is_simulator(driver) else ON_OTHER_DRIVERS
+
+
+def _is_simulator(driver: object) -> bool:
+    """Return whether a driver is the default one, however it is named."""
+    name = name_of(driver)  # type: ignore[arg-type]
+    if name == DEFAULT_DRIVER or ":" not in name:
+        return name == DEFAULT_DRIVER
+    try:
+        return plugins.load("drivers", name) is plugins.load("drivers", DEFAULT_DRIVER)
+    except CarosacError:  # the study says why when it checks its driver
+        return False
+
+
+def _refusal(name: str, robots: Sequence[Robot]) -> str | None:
+    """Return why a controller cannot be used for all robots here, or None if it can."""
+    try:
+        controller = plugins.load("controllers", name)
+    except MissingExtra as error:
+        return str(error)
+    try:
+        for robot in robots if hasattr(controller, "check_robot") else []:
+            controller.check_robot(robot)
+    except CarosacError as error:
+        return str(error)
+    return None

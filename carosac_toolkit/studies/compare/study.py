@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -30,8 +31,8 @@ from carosac_toolkit.studies.compare.defaults import (
     DEFAULT_SEEDS,
     DEFAULT_TRAJECTORIES,
     QUICK_SEEDS,
-    default_choice,
     default_controllers,
+    default_estimation,
 )
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
@@ -122,14 +123,8 @@ class Study:
 
     def __post_init__(self) -> None:
         """Fill in defaults, turn lists into tuples and classes into names; refuse a string."""
-        usual = default_choice(self.driver)
-        for name in ("estimators", "sensors"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, getattr(usual, name))
-        if self.controllers is None and not isinstance(self.robots, str):
-            object.__setattr__(
-                self, "controllers", default_controllers(self.driver, self.robots)[0]
-            )
+        if None in (self.controllers, self.estimators, self.sensors):
+            self._fill_in()
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
@@ -148,6 +143,22 @@ class Study:
             object.__setattr__(self, "trajectories", (RECORDED_TRAJECTORY,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), SEEDS_ALLOWED)
+
+    def _fill_in(self) -> None:
+        """Take the defaults for what was not named; warn of what cannot be used here."""
+        found: dict[str, Any] = {}
+        texts: tuple[str, ...] = ()
+        if self.controllers is None and not isinstance(self.robots, str):  # `check` refuses that
+            found["controllers"], texts = default_controllers(self.driver, self.robots)
+        if self.estimators is None or self.sensors is None:
+            usual, more = default_estimation(self.driver)
+            found |= {"estimators": usual.estimators, "sensors": usual.sensors}
+            texts += more if self.estimators is None else ()
+        for text in texts:
+            warnings.warn(text, stacklevel=4)
+        for name, value in found.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
 
     def quick(self) -> Study:
         """Return the same study with the first two seeds: a first look, in under a minute."""

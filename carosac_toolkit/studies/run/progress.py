@@ -12,6 +12,7 @@ from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 TERMINAL_INTERVAL_S = 0.5  # [s] between two updates of the line on a terminal
 PLAIN_INTERVAL_S = 30.0  # [s] to the first line elsewhere; every wait is twice the last one
+INTERVAL_MAX_S = 600.0  # [s] between two lines: batch systems end what is silent for long
 
 
 class Progress:
@@ -61,7 +62,8 @@ class Progress:
         estimable = first and self._before < self.finished < self._total
         if estimable or now - self._shown >= self._interval:
             self._shown = now
-            self._interval *= 1.0 if self._terminal else 2.0
+            if not self._terminal:
+                self._interval = min(2.0 * self._interval, INTERVAL_MAX_S)
             self._tell(end="" if self._terminal else "\n")
 
     def close(self) -> None:

@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import read_rows
+from carosac_toolkit.studies.compare import defaults
 from carosac_toolkit.studies.compare.defaults import default_controllers
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import terminal_table
 from carosac_toolkit.studies.run.row_files import part_files
+from sim_warp.driver import SimDriver
 from tests.studies.tables import bad, case, good, study
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
@@ -192,7 +194,22 @@ def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp
         assert (
             len(left_out) == 1 and left_out[0].startswith("td3 is left out") and why in left_out[0]
         )
-        assert ct.Study(robots=[robot]).controllers == kept
+        with pytest.warns(UserWarning, match="td3 is left out"):
+            assert ct.Study(robots=[robot]).controllers == kept
+
+
+def test_a_broken_plug_in_is_not_left_out_in_silence(monkeypatch):
+    def load(kind, name):
+        raise CarosacError(f"{name} is claimed by several installed distributions")
+
+    monkeypatch.setattr(defaults.plugins, "load", load)
+    with pytest.raises(CarosacError, match="several installed"):
+        default_controllers("simulator", ["carosac"])
+
+
+def test_a_driver_has_the_same_defaults_by_its_name_and_as_its_class():
+    assert ct.Study(driver=SimDriver).controllers == ct.Study(driver="simulator").controllers
+    assert ct.Study(driver=SimDriver).sensors == ("lengths+imu",)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import io
 
+import numpy as np
+
 from carosac_toolkit.studies.run import progress as module
 from carosac_toolkit.studies.run.progress import Progress
 
@@ -45,6 +47,20 @@ def test_a_file_gets_a_line_ever_more_rarely(monkeypatch):
         int(line.split("/")[0].removeprefix("study: ")) for line in stream.getvalue().splitlines()
     ]
     assert shown == [1, 61, 181, 421, 901, 1000]
+
+
+def test_a_file_is_never_silent_for_longer_than_ten_minutes(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    bar = Progress(1000, [], quiet=False, stream=stream)
+    for _ in range(999):
+        now[0] += 60.0
+        bar.add(rows(1))
+    shown = [
+        int(line.split("/")[0].removeprefix("study: ")) for line in stream.getvalue().splitlines()
+    ]
+    assert max(np.diff(shown)) == 10
 
 
 def test_few_long_cases_tell_how_much_of_them_is_done(monkeypatch):
