@@ -6,7 +6,8 @@ the samples of --train. Samples of --test are scored only. Prints what was learn
 cannot tell, and writes a report and, with --output, a new robot file.
 
 Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
-on the samples kept back.
+on the samples kept back. No robot file is written if a platform that stands still would predict
+these samples as well.
 """
 
 from __future__ import annotations
@@ -94,11 +95,14 @@ def run(options: Options) -> CommandResult:
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     name = Path(options.recording).name
+    output = None if result.against_mean.useless else options.output
     write_new_robot(
-        result, robot_source.name, options.output,
-        name=options.output.stem if options.output else None,
+        result, robot_source.name, output,
+        name=output.stem if output else None,
         provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
     )  # fmt: skip
+    if output != options.output:
+        print(f"\nno robot file was written: {options.output} would be of no use")
     sys.stdout.flush()
     for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)

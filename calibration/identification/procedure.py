@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.open_loop import simulate
-from calibration.identification.result import Identification, RestErrors, ScoredRange
+from calibration.identification.result import (
+    Identification,
+    MeanPoseComparison,
+    RestErrors,
+    ScoredRange,
+)
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_coordinates
 from calibration.observability import Unobservable
@@ -17,16 +22,22 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.phases import (
+    PLATFORM_REST_SPEED_MAX,
+    REST_DURATION_MIN_S,
+    anchor_speed,
+    anchors_at,
+    find_phases,
+)
 from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
-REST_SPEED_MAX_M_S = 0.05  # a platform that is faster does not rest
 MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
 START_DISTANCE_MAX_M = 0.5  # [m]
 MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
@@ -71,16 +82,18 @@ def identify(
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motion(identified, path, poses, chosen)
-    first_speed = _first_speed(poses)
+    first_speed = _first_speed(recording, robot, poses)
+    against_mean = _against_mean(robot, poses, after, test or train)
     scored = None if test is None else _part(poses, before, after, test)
     return Identification(
         before=robot,
-        warnings=tuple(_warnings(fit, first_speed, scored)),
+        warnings=tuple(_warnings(robot, fit, first_speed, scored, against_mean)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
         train=_part(poses, before, after, train),
         test=scored,
         rests=_rests(recording, robot, identified, poses),
+        against_mean=against_mean,
         measured=poses,
         position_before=before[:, :3] + poses.position,
         position_after=after[:, :3] + poses.position,
@@ -158,13 +171,35 @@ def _check_start(errors: Array) -> None:
         raise InvalidField("recording", got, allowed)
 
 
-def _first_speed(poses: MeasuredPoses) -> float:
-    """Return the speed of the platform in the first half second [m/s]."""
-    rows = poses.time - poses.time[0] <= 0.5
-    if rows.sum() < 2:
-        rows[:2] = True
-    reach = poses.position[rows][-1] - poses.position[rows][0]
-    return float(np.linalg.norm(reach) / (poses.time[rows][-1] - poses.time[rows][0]))
+def _first_speed(recording: Recording, robot: Robot, poses: MeasuredPoses) -> float:
+    """Return the RMS speed of the fastest anchor point at the start [m/s].
+
+    Over the first rest of the winches, or one slowest sway period of it; where they do not rest at
+    first, over the shortest rest.
+    """
+    span = REST_DURATION_MIN_S
+    rests = find_phases(recording.time, recording.unstrained_length).rests
+    if rests and rests[0][0] == 0:
+        rest = float(recording.time[rests[0][1] - 1] - poses.time[0])
+        span = max(span, min(rest, 2.0 * np.pi * Scales(robot).time))
+    rows = poses.time <= max(poses.time[0] + span, poses.time[min(1, len(poses.time) - 1)])
+    speed = anchor_speed(robot, poses.time, poses.position, poses.rotation)[rows]
+    return float(np.sqrt((speed**2).mean()))
+
+
+def _against_mean(
+    robot: Robot, poses: MeasuredPoses, errors: Array, span: Range
+) -> MeanPoseComparison:
+    """Compare the errors of a simulation (K, 6) in some samples with those of the mean pose."""
+    from scipy.spatial.transform import Rotation
+
+    rows = _rows(poses, *span)
+    measured = anchors_at(robot, poses.position[rows], poses.rotation[rows])
+    turned = poses.rotation[rows] @ Rotation.from_rotvec(errors[rows, 3:]).as_matrix()
+    simulated = anchors_at(robot, poses.position[rows] + errors[rows, :3], turned)
+    distances = (simulated - measured, measured - measured.mean(axis=0))
+    missed, spread = (float(np.sqrt((each**2).sum(axis=2).mean())) for each in distances)
+    return MeanPoseComparison(start=span[0], stop=span[1], missed=missed, spread=spread)
 
 
 def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
@@ -179,14 +214,27 @@ def _scores(errors: Array) -> PoseScores:
     return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
 
 
-def _warnings(fit: CoordinateFit, first_speed: float, test: ScoredRange | None) -> list[str]:
+def _warnings(
+    robot: Robot,
+    fit: CoordinateFit,
+    first_speed: float,
+    test: ScoredRange | None,
+    against_mean: MeanPoseComparison,
+) -> list[str]:
     """Return what must not be overlooked."""
     lines = []
     if not fit.converged:
         lines.append(f"the search had not settled after {fit.iterations} steps")
-    if first_speed > REST_SPEED_MAX_M_S:
+    if against_mean.useless:
         lines.append(
-            f"the platform moves at the first sample, by {first_speed:.2g} m/s, where the "
+            f"the identified robot is of no use: in samples {against_mean.start}:"
+            f"{against_mean.stop} its anchor points miss the measured ones by "
+            f"{against_mean.missed * 1e3:.1f} mm RMS, where their own mean positions miss them by "
+            f"{against_mean.spread * 1e3:.1f} mm"
+        )
+    if first_speed > PLATFORM_REST_SPEED_MAX.of(Scales(robot).ratios):
+        lines.append(
+            f"the platform moves at the first samples, by {first_speed:.2g} m/s, where the "
             "simulation begins at rest: cut the recording so that it begins in a rest"
         )
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:

@@ -65,6 +65,33 @@ class RestErrors:
         }
 
 
+@dataclass(frozen=True, kw_only=True)
+class MeanPoseComparison:
+    """Simulated against constant poses, on samples that were kept back if there are any.
+
+    Attributes:
+        start: First length sample.
+        stop: One past the last.
+        missed: RMS distance of simulated from measured anchor points [m].
+        spread: RMS distance of the measured anchor points from their means [m].
+    """
+
+    start: int
+    stop: int
+    missed: float
+    spread: float
+
+    @property
+    def useless(self) -> bool:
+        """True if a platform that stands still would be no worse."""
+        return not self.missed < self.spread
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON."""
+        samples = {"start": self.start, "stop": self.stop}
+        return {**samples, "missed_m": self.missed, "spread_m": self.spread}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification(CalibrationResult):
     """An identified robot and how well it moves as measured.
@@ -72,7 +99,8 @@ class Identification(CalibrationResult):
     Attributes:
         train: Samples that were fitted.
         test: Samples that were not; None where none were kept back.
-        rests: Mean poses at rest.
+        rests: Mean poses while the winches rest.
+        against_mean: Comparison with the mean pose; the robot is of no use if that is better.
         measured: All measured poses, K of them, in W.
         position_before: Of the robot as it was known [m], shape (K, 3).
         position_after: Of the identified robot [m], shape (K, 3).
@@ -86,6 +114,7 @@ class Identification(CalibrationResult):
     train: ScoredRange
     test: ScoredRange | None
     rests: RestErrors
+    against_mean: MeanPoseComparison
     measured: MeasuredPoses
     position_before: Array
     position_after: Array
@@ -103,6 +132,7 @@ class Identification(CalibrationResult):
             "parameters": self.estimate.data(),
             "observability": self.observability.data(),
             "rests": self.rests.data(),
+            "against_mean_pose": self.against_mean.data(),
             "iterations": self.iterations,
             "converged": self.converged,
             "fitted_samples": self.fitted_samples,

@@ -18,7 +18,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.another_robot import another_robot, cable_count_hint
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
-from carosac_toolkit.validation.phases import find_phases, slope
+from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
@@ -77,7 +77,9 @@ def validate(
     phases = find_phases(recording.time, recording.unstrained_length)
     rests = _kept(phases.rests, index)
     lengths = recording.unstrained_length[index]
-    scoring = _Scoring(recording, robot, index, measured, phases.resting[index], rests)
+    resting = phases.resting[index]
+    speed = anchor_speed(robot, recording.time[index], measured.position, measured.rotation)
+    scoring = _Scoring(recording, robot, index, measured, resting, rests)
     return ValidationResult(
         robot=robot,
         start=start,
@@ -86,9 +88,10 @@ def validate(
         index=index,
         time=recording.time[index],
         measured=measured,
-        resting=phases.resting[index],
+        resting=resting,
         rests=rests,
         models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
+        rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
         warnings=(*other, *find_mix_ups(robot, lengths, measured)),

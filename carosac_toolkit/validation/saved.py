@@ -43,7 +43,7 @@ def samples_bytes(result: ValidationResult) -> bytes:
     }  # fmt: skip
     rest = {
         "robot": robot, "models": models, "start": result.start, "stop": result.stop,
-        "seed": result.seed, "warnings": list(result.warnings),
+        "seed": result.seed, "warnings": list(result.warnings), "rest_speed": result.rest_speed,
     }  # fmt: skip
     return npz_bytes(VALIDATION_KEY, rest, arrays)
 
@@ -78,6 +78,7 @@ def _result(rest: dict[str, Any], arrays: dict[str, Any]) -> ValidationResult:
         resting=arrays["resting"],
         rests=tuple((int(a), int(b)) for a, b in arrays["rests"]),
         models={k: _model(k, known, arrays, measured) for k, known in rest["models"].items()},
+        rest_speed=rest.get("rest_speed"),
         warnings=tuple(rest["warnings"]),
     )
 

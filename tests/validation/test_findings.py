@@ -72,6 +72,16 @@ def test_sway_is_named_with_its_period():
     assert "nearest natural frequency" in text
 
 
+def test_a_platform_that_moves_while_the_winches_rest_is_named():
+    recording = perfect()
+    assert "The platform moves while the winches rest" not in said(recording)
+    swing = np.zeros((len(recording.time), 3))
+    swing[:, 0] = 0.05 * np.sin(2 * np.pi * 0.5 * recording.time)
+    result = validate(shifted(recording, swing), ROBOT, [KS])
+    assert result.rest_speed == pytest.approx(0.05 * np.pi / np.sqrt(2.0), rel=0.1)
+    assert "its fastest anchor point by 0.11 m/s RMS" in " ".join(conclusions(result))
+
+
 def test_a_model_that_moves_is_not_blamed_for_knowing_rest_alone():
     recording = perfect()
     swing = np.zeros((len(recording.time), 3))
