@@ -7,14 +7,16 @@ from numpy.typing import NDArray
 
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
-from calibration.identification.open_loop import simulate
+from calibration.identification.open_loop import OpenLoopStart, first_equilibrium, simulate
 from calibration.identification.result import (
+    FirstMotion,
     Identification,
     MeanPoseComparison,
     RestErrors,
     ScoredRange,
 )
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.sway import FreeSway, find_sway
 from calibration.identification.unknowns import choose_coordinates
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
@@ -54,8 +56,10 @@ def identify(
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
 
-    The simulation always begins at the first sample, at rest. Parameters and their covariances in
-    the robot file are what is known before; the settings stand for what it does not say.
+    The simulation always begins at the first sample. How far the platform is from its equilibrium
+    there along its free directions (fewer than six cables), and how fast it moves, is estimated
+    too. Parameters and their covariances in the robot file are what is known before; the settings
+    stand for what it does not say.
 
     Args:
         recording: Readings of the lengths and measured poses, as recorded.
@@ -76,23 +80,26 @@ def identify(
     fitted = poses.within(*train).thinned(chosen.rate)
     unknowns = choose_coordinates(robot, chosen)
     path = LengthPath(recording)
-    before = _motion(robot, path, poses, chosen)
+    first_speed = _first_speed(recording, robot, poses)
+    moves = first_speed > PLATFORM_REST_SPEED_MAX.of(Scales(robot).ratios)
+    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=moves)
+    before = _motion(robot, path, poses, chosen, sway, sway.guess)
     _check_start(before)
-    fit = Fitter(unknowns, path, fitted, chosen).run(report)
+    fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(identified, path, poses, chosen)
-    first_speed = _first_speed(recording, robot, poses)
+    after = _motion(identified, path, poses, chosen, sway, fit.start)
     against_mean = _against_mean(robot, poses, after, test or train)
     scored = None if test is None else _part(poses, before, after, test)
     return Identification(
         before=robot,
-        warnings=tuple(_warnings(robot, fit, first_speed, scored, against_mean)),
+        warnings=tuple(_warnings(fit, scored, against_mean)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
         train=_part(poses, before, after, train),
         test=scored,
         rests=_rests(recording, robot, identified, poses),
+        first_motion=FirstMotion.of(sway, fit.start, measured_speed=first_speed, moves=moves),
         against_mean=against_mean,
         measured=poses,
         position_before=before[:, :3] + poses.position,
@@ -141,9 +148,12 @@ def _motion(
     path: LengthPath,
     poses: MeasuredPoses,
     settings: IdentificationSettings,
+    sway: FreeSway,
+    coordinates: Array,
 ) -> Array:
     """Return the errors of a robot's simulation at all measured poses, shape (K, 6)."""
-    motion = simulate([robot], path, poses.time, time_step=settings.time_step)
+    start = OpenLoopStart(sway=sway, coordinates=coordinates[None])
+    motion = simulate([robot], path, poses.time, time_step=settings.time_step, start=start)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
@@ -164,7 +174,7 @@ def _check_start(errors: Array) -> None:
     if away > START_DISTANCE_MAX_M:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
-            "lengths and poses of this robot, which rests at sample 0, within "
+            "lengths and poses of this robot, whose first pose is that of its first lengths within "
             f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped "
             "cables and wrong units"
         )
@@ -215,11 +225,7 @@ def _scores(errors: Array) -> PoseScores:
 
 
 def _warnings(
-    robot: Robot,
-    fit: CoordinateFit,
-    first_speed: float,
-    test: ScoredRange | None,
-    against_mean: MeanPoseComparison,
+    fit: CoordinateFit, test: ScoredRange | None, against_mean: MeanPoseComparison
 ) -> list[str]:
     """Return what must not be overlooked."""
     lines = []
@@ -231,11 +237,6 @@ def _warnings(
             f"{against_mean.stop} its anchor points miss the measured ones by "
             f"{against_mean.missed * 1e3:.1f} mm RMS, where their own mean positions miss them by "
             f"{against_mean.spread * 1e3:.1f} mm"
-        )
-    if first_speed > PLATFORM_REST_SPEED_MAX.of(Scales(robot).ratios):
-        lines.append(
-            f"the platform moves at the first samples, by {first_speed:.2g} m/s, where the "
-            "simulation begins at rest: cut the recording so that it begins in a rest"
         )
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:
         lines.append("the identified robot is worse than before on the samples kept back")
