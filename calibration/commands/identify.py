@@ -2,8 +2,10 @@
 
 The simulator runs open loop through the recorded lengths; centre of mass, inertia, damping,
 stiffness, delay, and geometry within what the robot file knows of it, are fitted to the poses of
-the samples of --train. Samples of --test are scored only. Prints what was learnt and what the data
-cannot tell, and writes a report and, with --output, a new robot file.
+the samples of --train. The recording may begin in motion, as a free oscillation with locked winches
+does: the first pose and speed of a platform on fewer than six cables are fitted too. Samples of
+--test are scored only. Prints what was learnt and what the data cannot tell, and writes a report
+and, with --output, a new robot file.
 
 Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
 on the samples kept back. No robot file is written if a platform that stands still would predict
@@ -56,7 +58,7 @@ class Options(CommonOptions):
     the one that the recording names, or else the bundled one with its exit points."""
     train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
-    simulation always begins at sample 0, where the platform must be at rest."""
+    simulation always begins at sample 0, at rest or in motion."""
     test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Samples that are scored only; by default all after those of --train."""
     output: OutputFile = None

@@ -197,8 +197,8 @@ class Identification(CalibrationResult):
         lines += self._first_motion()
         if len(self.rests.after):
             lines.append(
-                f"mean pose of {len(self.rests.after)} rests against the equilibrium of their "
-                f"lengths: {_rms(self.rests.before) * 1e3:.1f} mm before, "
+                f"mean pose of {len(self.rests.after)} rests of the winches against the "
+                f"equilibrium of their lengths: {_rms(self.rests.before) * 1e3:.1f} mm before, "
                 f"{_rms(self.rests.after) * 1e3:.1f} mm after (largest "
                 f"{np.nanmax(self.rests.after) * 1e3:.1f} mm)"
             )

@@ -30,7 +30,7 @@ MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that m
 NEWTON_STEPS_MAX = 12
 LENGTH_TOLERANCE_SHARE = 1e-10  # of a length: a smaller difference needs no further Newton step
 GUESS_PERIODS = 0.4  # of the fastest free mode, over which a polynomial is fitted
-GUESS_DEGREE_MAX = 4
+GUESS_DEGREE_MAX = 3
 GUESS_POSES_MIN = 4  # poses, from which a speed can be guessed
 
 
