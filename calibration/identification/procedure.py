@@ -24,15 +24,12 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import first_speed
 from carosac_toolkit.validation.phases import (
-    PLATFORM_REST_SPEED_MAX,
-    REST_DURATION_MIN_S,
-    anchor_speed,
     anchors_at,
     find_phases,
 )
@@ -80,9 +77,11 @@ def identify(
     fitted = poses.within(*train).thinned(chosen.rate)
     unknowns = choose_coordinates(robot, chosen)
     path = LengthPath(recording)
-    first_speed = _first_speed(recording, robot, poses)
-    moves = first_speed > PLATFORM_REST_SPEED_MAX.of(Scales(robot).ratios)
-    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=moves)
+    first = first_speed(
+        robot, recording.time, recording.unstrained_length, poses.time, poses.position,
+        poses.rotation,
+    )  # fmt: skip
+    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
     before = _motion(robot, path, poses, chosen, sway, sway.guess)
     _check_start(before)
     fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
@@ -99,7 +98,7 @@ def identify(
         train=_part(poses, before, after, train),
         test=scored,
         rests=_rests(recording, robot, identified, poses),
-        first_motion=FirstMotion.of(sway, fit.start, measured_speed=first_speed, moves=moves),
+        first_motion=FirstMotion.of(sway, fit.start, first),
         against_mean=against_mean,
         measured=poses,
         position_before=before[:, :3] + poses.position,
@@ -179,22 +178,6 @@ def _check_start(errors: Array) -> None:
             "cables and wrong units"
         )
         raise InvalidField("recording", got, allowed)
-
-
-def _first_speed(recording: Recording, robot: Robot, poses: MeasuredPoses) -> float:
-    """Return the RMS speed of the fastest anchor point at the start [m/s].
-
-    Over the first rest of the winches, or one slowest sway period of it; where they do not rest at
-    first, over the shortest rest.
-    """
-    span = REST_DURATION_MIN_S
-    rests = find_phases(recording.time, recording.unstrained_length).rests
-    if rests and rests[0][0] == 0:
-        rest = float(recording.time[rests[0][1] - 1] - poses.time[0])
-        span = max(span, min(rest, 2.0 * np.pi * Scales(robot).time))
-    rows = poses.time <= max(poses.time[0] + span, poses.time[min(1, len(poses.time) - 1)])
-    speed = anchor_speed(robot, poses.time, poses.position, poses.rotation)[rows]
-    return float(np.sqrt((speed**2).mean()))
 
 
 def _against_mean(

@@ -12,6 +12,7 @@ from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameter_names import field_of
+from carosac_toolkit.validation.first_motion import FirstSpeed
 from carosac_toolkit.validation.scores import PoseScores
 
 CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known
@@ -86,17 +87,15 @@ class FirstMotion:
     moves: bool
 
     @classmethod
-    def of(
-        cls, sway: FreeSway, coordinates: Array, *, measured_speed: float, moves: bool
-    ) -> FirstMotion:
+    def of(cls, sway: FreeSway, coordinates: Array, first: FirstSpeed) -> FirstMotion:
         """Return the motion of coordinates (2 m,) along free directions."""
         displacement, speed = sway.values(coordinates)
         return cls(
             frequency=sway.frequency / (2.0 * np.pi),
             displacement=displacement,
             speed=speed,
-            measured_speed=measured_speed,
-            moves=moves,
+            measured_speed=first.speed,
+            moves=first.moves,
         )
 
     def data(self) -> dict[str, Any]:

@@ -16,22 +16,19 @@ from scipy.spatial.transform import Rotation
 from calibration.identification.measured_poses import MeasuredPoses
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
-from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.held_lengths import moved_pose, pose_on_lengths, twist_on_rates
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from carosac_toolkit.physics.rest.structure import constrained_motion, structure_matrix
+from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import first_state
 from carosac_toolkit.validation.phases import anchors_at
 
 REST_DISPLACEMENT_SIGMA = Scaled(0.01, "m", least=1e-3)  # of a platform that seems to rest
 MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that moves
-NEWTON_STEPS_MAX = 12
-LENGTH_TOLERANCE_SHARE = 1e-10  # of a length: a smaller difference needs no further Newton step
-GUESS_PERIODS = 0.4  # of the fastest free mode, over which a polynomial is fitted
-GUESS_DEGREE_MAX = 3
-GUESS_POSES_MIN = 4  # poses, from which a speed can be guessed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,17 +82,12 @@ class FreeSway:
             Position [m], (3,), rotation, (3, 3), and twist of the platform origin in W, (6,).
         """
         displacement, speed = self.values(coordinates)
-        position, rotation = _moved(rest.position[0], rest.rotation[0], self.shape @ displacement)
-        wanted = straight_length(robot, rest.position, rest.rotation).length[0]
-        for _ in range(NEWTON_STEPS_MAX):
-            missing = wanted - straight_length(robot, position[None], rotation[None]).length[0]
-            if not np.abs(missing).max() > LENGTH_TOLERANCE_SHARE * wanted.max():
-                break
-            _, along = _cable_motion(robot, position, rotation, length)
-            position, rotation = _moved(position, rotation, along @ missing)
-        jacobian, along = _cable_motion(robot, position, rotation, length)
-        twist = self.shape @ speed
-        return position, rotation, twist + along @ (rate - jacobian @ twist)
+        position, rotation = pose_on_lengths(
+            robot, *moved_pose(rest.position[0], rest.rotation[0], self.shape @ displacement),
+            straight_length(robot, rest.position, rest.rotation).length[0],
+        )  # fmt: skip
+        twist = twist_on_rates(robot, position, rotation, length, rate, self.shape @ speed)
+        return position, rotation, twist
 
 
 def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: bool) -> FreeSway:
@@ -123,7 +115,9 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
     sigma = np.concatenate([floor, frequency * floor])
     guess = np.zeros(len(sigma))
     if moves and len(frequency):
-        guess = _guess(rest, poses, np.linalg.cholesky(mass).T, shape, frequency)
+        fastest = float(frequency[-1]) / (2.0 * np.pi)
+        first = first_state(poses.time, poses.position, poses.rotation, fastest)
+        guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
         swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
         sigma = np.concatenate([reach, frequency * reach])
@@ -162,36 +156,13 @@ def swaying_states(
     return np.array(position), np.array(rotation), np.array(twist)
 
 
-def _moved(position: Array, rotation: Array, move: Array) -> tuple[Array, Array]:
-    """Return a pose after a small or large motion (linear, rotation vector in W)."""
-    return position + move[:3], Rotation.from_rotvec(move[3:]).as_matrix() @ rotation
+def _guess(rest: Equilibrium, first: Belief, root: Array, shape: Array) -> Array:
+    """Return displacements [m] and speeds [m/s] of a state along the free directions, (2 m,).
 
-
-def _cable_motion(
-    robot: Robot, position: Array, rotation: Array, length: Array
-) -> tuple[Array, Array]:
-    """Return the Jacobian of the lengths (n, 6), and the least motion that changes them (6, n)."""
-    jacobian = -structure_matrix(robot, position[None], rotation[None])[0].T
-    mass = mass_matrix(robot, rotation[None], length[None])[0]
-    return jacobian, constrained_motion(mass, jacobian)
-
-
-def _guess(
-    rest: Equilibrium, poses: MeasuredPoses, root: Array, shape: Array, frequency: Array
-) -> Array:
-    """Return displacements [m] and speeds [m/s] of the first measured poses, shape (2 m,).
-
-    A polynomial in time is fitted to the motion from the equilibrium, in the metric of the kinetic
-    energy, whose root is `root`.
+    The nearest in the metric of the kinetic energy, whose root is `root`.
     """
-    span = GUESS_PERIODS * 2.0 * np.pi / float(frequency.max())
-    count = max(int(np.searchsorted(poses.time, poses.time[0] + span)), GUESS_POSES_MIN)
-    early = poses.rows(np.arange(min(count, len(poses.time))))
-    turned = Rotation.from_matrix(early.rotation @ rest.rotation[0].T).as_rotvec()
-    motion = np.hstack([early.position - rest.position[0], turned])  # (K, 6)
-    modal = motion @ root.T @ np.linalg.pinv(root @ shape).T  # (K, m)
-    degree = min(GUESS_DEGREE_MAX, len(early.time) // 2)
-    when = (early.time - early.time[0]) / max(span, float(np.ptp(early.time)))
-    fit = np.polynomial.polynomial.polyfit(when, modal, degree)
-    speed = fit[1] / max(span, float(np.ptp(early.time)))
-    return np.concatenate([fit[0], speed])
+    assert first.twist is not None
+    turned = Rotation.from_matrix(first.rotation[0] @ rest.rotation[0].T).as_rotvec()
+    away = np.concatenate([first.position[0] - rest.position[0], turned])
+    along = np.linalg.pinv(root @ shape) @ root
+    return np.concatenate([along @ away, along @ first.twist[0]])

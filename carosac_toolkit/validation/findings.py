@@ -88,6 +88,11 @@ def _doubts(result: ValidationResult) -> Iterator[str]:
             "The platform moves while the winches rest: its fastest anchor point by "
             f"{result.rest_speed:.2g} m/s RMS. These samples do not show a platform at rest."
         )
+    if result.starts_moving:
+        yield (
+            "The platform moves at the first sample: models that can, such as simulator, start "
+            "from its measured pose and speed there."
+        )
     if result.unscored:
         yield f"{result.unscored} samples have no measured pose nearby and were not scored."
 

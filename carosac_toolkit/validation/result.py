@@ -116,6 +116,8 @@ class ValidationResult:
         resting: True where the winches rest, shape (S,).
         rests: First and one past the last of these samples for each rest.
         models: By name, in the order asked for.
+        starts_moving: True if the platform moves at sample 0; models that can start from its pose
+            and speed there.
         rest_speed: Speed of the fastest anchor point while the winches rest, RMS [m/s]; None where
             they never do.
         natural_frequency: Predictions of statics at the rests [Hz], medians, slowest first, (6,);
@@ -136,6 +138,7 @@ class ValidationResult:
     resting: NDArray[np.bool_]
     rests: tuple[tuple[int, int], ...]
     models: Mapping[str, ModelResult]
+    starts_moving: bool = False
     rest_speed: float | None = None
     natural_frequency: Array | None = None
     exit_point_distance: float | None = None
@@ -181,6 +184,7 @@ class ValidationResult:
                 "platform_speed_rms_m_per_s": self.rest_speed,
                 "natural_frequencies_Hz": self.natural_frequency,
             },
+            "starts_moving": self.starts_moving,
             "exit_point_distance_m": self.exit_point_distance,
             "warnings": self.warnings,
             "models": {name: model.data(names) for name, model in self.models.items()},

@@ -5,6 +5,7 @@ import pytest
 
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.findings import _sag, conclusions
+from tests.calibration.identification.oscillations import free_oscillation
 from tests.validation.models import NAME
 from tests.validation.runs import ROBOT, perfect, shifted
 
@@ -112,3 +113,15 @@ def test_another_robot_is_suspected():
 @pytest.mark.parametrize("models", [(f"{NAME}:Raising",)])
 def test_without_any_score_only_the_reason_is_left(models):
     assert said(perfect(), models) == f"{models[0]} has no scores: RuntimeError: no luck."
+
+
+def test_the_simulator_starts_from_the_measured_motion_of_a_free_oscillation():
+    """At rest it would miss by the whole swing; the other model is not told the first pose."""
+    recording, (position, _) = free_oscillation(ROBOT, 1, swing=0.15, duration=6.0)
+    result = validate(recording, ROBOT, [KS, "simulator"])
+    swing = np.sqrt(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert result.models[KS].scores.rmse[3] > 0.9 * swing
+    assert result.models["simulator"].scores.rmse[3] < 0.35 * swing
+    assert result.starts_moving
+    assert "start from its measured pose and speed" in " ".join(conclusions(result))
+    assert not validate(perfect(), ROBOT, [KS]).starts_moving
