@@ -115,8 +115,7 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
     sigma = np.concatenate([floor, frequency * floor])
     guess = np.zeros(len(sigma))
     if moves and len(frequency):
-        fastest = float(frequency[-1]) / (2.0 * np.pi)
-        first = first_state(poses.time, poses.position, poses.rotation, fastest)
+        first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
         guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
         swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())

@@ -9,6 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.physics.rest.held_lengths import moved_pose
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
+from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import (
@@ -18,8 +21,8 @@ from carosac_toolkit.validation.phases import (
     find_phases,
 )
 
-STATE_PERIODS = 0.4  # of the fastest sway, over which a polynomial is fitted
-STATE_DEGREE_MAX = 3
+STATE_PERIODS = 0.4  # of a mode, over which a polynomial is fitted to its motion
+STATE_DEGREE_MAX = 4
 STATE_POSES_MIN = 4  # poses, from which a speed can be told
 
 
@@ -69,21 +72,40 @@ def first_speed(
     return FirstSpeed(speed=speed, moves=speed > PLATFORM_REST_SPEED_MAX.of(scales.ratios))
 
 
-def first_state(time: Array, position: Array, rotation: Array, frequency: float) -> Belief:
-    """Return pose and twist at the first measured pose, B = 1, by a polynomial in time.
+def first_state(
+    robot: Robot, rest: Equilibrium, time: Array, position: Array, rotation: Array
+) -> Belief:
+    """Return pose and twist at the first measured pose, B = 1.
+
+    A polynomial in time is fitted to the motion along each mode of the platform, over a share of
+    its period, as a fast mode needs a short span and a slow one can do with less noise.
 
     Args:
+        robot: Robot description, n cables.
+        rest: Its equilibrium on the first lengths, B = 1, whose modes are taken.
         time: Of the poses [s], shape (K,), two at least.
         position: Platform origin in W [m], shape (K, 3).
         rotation: From P to W, shape (K, 3, 3).
-        frequency: Of the fastest sway [Hz].
     """
-    span = STATE_PERIODS / frequency
+    modes = natural_modes(robot, rest)
+    shape = modes.shape[0]
+    frequency = np.abs(modes.frequency[0])
+    free = max(len(frequency) - robot.n, 1)
+    span = STATE_PERIODS / np.minimum(frequency, frequency[free - 1])  # stiff modes hardly move
+    turned = Rotation.from_matrix(rotation @ rotation[0].T).as_rotvec()
+    motion = np.hstack([position - position[0], turned])
+    mass = mass_matrix(robot, rest.rotation, rest.unstrained_length)[0]
+    modal = motion @ mass @ shape  # (K, 6)
+    start = np.array([_at_first(time, modal[:, j], span[j]) for j in range(len(frequency))])
+    place, turn = moved_pose(position[0], rotation[0], shape @ start[:, 0])
+    twist = shape @ start[:, 1]
+    return Belief(time=time[:1], position=place[None], rotation=turn[None], twist=twist[None])
+
+
+def _at_first(time: Array, value: Array, span: float) -> tuple[float, float]:
+    """Return a smooth value (K,) and its rate at the first time, by a polynomial over a span."""
     count = max(int(np.searchsorted(time, time[0] + span)), STATE_POSES_MIN)
-    turned = Rotation.from_matrix(rotation[:count] @ rotation[0].T).as_rotvec()
-    motion = np.hstack([position[:count], turned])
-    scale = max(span, float(np.ptp(time[:count])))
-    degree = min(STATE_DEGREE_MAX, len(motion) // 2)
-    fit = np.polynomial.polynomial.polyfit((time[:count] - time[0]) / scale, motion, degree)
-    start = Rotation.from_rotvec(fit[0, 3:]).as_matrix() @ rotation[0]
-    return Belief(time=time[:1], position=fit[:1, :3], rotation=start[None], twist=fit[1:2] / scale)
+    since = time[:count] - time[0]
+    degree = min(STATE_DEGREE_MAX, len(since) // 2)
+    fit = np.polynomial.polynomial.polyfit(since / since[-1], value[:count], degree)
+    return float(fit[0]), float(fit[1] / since[-1])

@@ -13,7 +13,6 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
-from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
@@ -246,8 +245,7 @@ def _first_motion(recording: Recording, robot: Robot) -> Belief | None:
     rest = forward_kinematics(robot, length[:1])
     if not (rest.converged & rest.stable).all():
         return None
-    fastest = natural_frequencies(robot, rest)[0, SIX_CABLES - robot.n - 1]
-    return first_state(time[rows], position, rotation, float(fastest))
+    return first_state(robot, rest, time[rows], position, rotation)
 
 
 def _kept(
