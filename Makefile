@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars learning docs docs-commands clean
+.PHONY: help setup demo test lint bench bars learning docs docs-commands linkcheck clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -19,24 +19,17 @@ setup: $(STAMP)  ## install the toolkit and all it needs into .venv
 $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation, learning, viewing and bags, at the versions of constraints.txt."
+	@echo "2/3 Installing the toolkit in place with all its extras, and the tools for tests and"
+	@echo "    documentation, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn,ros,view]'
+		--constraint constraints.txt --editable '.[all,dev,docs]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: $(STAMP)  ## compare two controllers on a sagging-cable robot, with pictures
-	@echo "Comparing straight-line kinematics with the kinematic solver on the robot 'carosac': 100"
-	@echo "cases, some two minutes on two cores. Kernels are compiled at the first run, which takes up"
-	@echo "to a minute more. In one case the kinematic solver refuses a path on which this robot"
-	@echo "cannot rest everywhere; straight-line kinematics does not know."
-	$(BIN)/carosac compare --batch 10 --output $(RESULTS)/demo
-	@echo
-	@echo "Pictures and report (begin with report.html, in a browser):"
-	@ls -1 $(RESULTS)/demo/*.png $(RESULTS)/demo/*.html
+demo: $(STAMP)  ## compare five controllers on one fast move, with an animation and a report
+	@$(BIN)/carosac compare --seeds 6 --animation kinematic_solver mpc td3 --output $(RESULTS)/demo
 
 test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels
@@ -91,8 +84,12 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
-	@echo "Open docs/_build/index.html"
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python docs/links.py docs/_build/html
+	@echo "Open docs/_build/html/index.html"
+
+linkcheck: $(STAMP)  ## try every external link of the documentation, over the network
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
 
 docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings
 	$(BIN)/python docs/commands.py --jobs $(JOBS)

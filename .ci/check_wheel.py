@@ -11,6 +11,7 @@ PACKAGES = ("carosac_toolkit", "baselines", "sim_warp", "learned", "calibration"
 ROBOTS = (
     "carosac", "cogiro", "desktop", "hangprinter", "ipanema1", "scampi", "stadium", "warehouse",
 )  # fmt: skip
+EXTRAS = ("all", "calibration", "control", "learn", "parallel", "ros", "view")
 DATA = (
     "py.typed",
     "recordings/data/synthetic.parquet",
@@ -29,12 +30,14 @@ def main() -> None:
         assert toolkit.joinpath(name).is_file(), f"{name} is not in the wheel"
 
     import carosac_toolkit as ct
+    from carosac_toolkit.base.extras import missing_extras
     from carosac_toolkit.recordings.bundled import list_recordings
 
     assert ct.list_robots() == ROBOTS
     for robot in ct.list_robots():
         ct.load_robot(robot)
     assert list_recordings()
+    assert missing_extras(EXTRAS) == EXTRAS, "the environment holds packages of an extra"
     licences = list(environment.rglob("carosac_toolkit-*.dist-info/licenses/LICENSE"))
     assert len(licences) == 1, licences
     print(f"the wheel in {environment.name} is whole: {', '.join(PACKAGES)}")

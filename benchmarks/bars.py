@@ -14,10 +14,10 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
+from carosac_toolkit.physics.kernel_modules import kernel_modules
 from carosac_toolkit.physics.rest import statics
 from tests import reference
 from tests.physics.cable.test_catenary import KNOWN, random_cables
-from tests.warm_kernels import kernel_modules
 
 COUNT = 10_000
 

@@ -26,7 +26,7 @@ def cases(robot: str, controller: str, count: int) -> list[Case]:
     """A case for each seed."""
     return [
         Case(
-            robot=robot, controller=controller, estimator=WAYS[controller], suite="lengths",
+            robot=robot, controller=controller, estimator=WAYS[controller], sensors="lengths",
             trajectory="circle", perturbation="nominal-1", seed=seed,
         )
         for seed in range(count)

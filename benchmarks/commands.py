@@ -35,11 +35,12 @@ POLICIES = tuple(
 )
 MOVES = "--speed 2 --acceleration 1.5 --seed 20 --seeds 3"
 SHAPERS = (
-    "--controllers kinematic_solver input_shaping input_shaping@zvd input_shaping@all --set "
+    "--controllers kinematic_solver input_shaping input_shaping@zvd input_shaping@all "
+    "--estimators kinematic_solver --sensors lengths --set "
     "controller.input_shaping@zvd.shaper=zvd --set controller.input_shaping@all.directions=all"
 )
 STUDIES = {
-    "make demo": "--batch 10",
+    "make demo": "--seeds 6",
     "minimum_snap": f"{SHAPERS} --trajectories minimum_snap {MOVES}",
     "waypoints": f"{SHAPERS} --trajectories waypoints {MOVES}",
 }

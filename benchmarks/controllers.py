@@ -355,7 +355,8 @@ def endurance(name: str, steps: int = STEPS) -> tuple[str, ...]:
 
 def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
     """Tracking error and sway under wrong parameters."""
-    from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
+    from carosac_toolkit.pictures.drawing import new_figure
+    from carosac_toolkit.pictures.style import SERIES_COLORS
 
     figure = new_figure(9.0, 6.0)
     grid = figure.subplots(2, len(ROBOTS), sharex=True)

@@ -186,7 +186,7 @@ def host(trial: Trial, name: str = "run") -> int:
         home_confirmed=True,
         settings=(f"driver.stale_time={SILENCE_S}", f"driver.hang_time={SILENCE_S}",
                   f"driver.inner.lost_after={SILENCE_S}"),
-        speed=0.8, acceleration=0.8, recording=trial.folder / f"{name}.jsonl",
+        speed=0.8, acceleration=0.8, output=trial.folder / f"{name}.jsonl",
     )  # fmt: skip
     result = run_command.run(options)
     said = {key: result.data[key] for key in ("fault", "reason")}

@@ -38,10 +38,10 @@ def record(plc: PlcProcess, file: Path) -> Path:
     """Record a circle, as ``carosac run`` does."""
     x, y, z = (float(v) for v in plc.robot.home_position)
     options = run_command.Options(
-        robot=str(plc.file), driver="ads", estimator="ks_ekf", suite=SUITE, trajectory="circle",
+        robot=str(plc.file), driver="ads", estimator="ks_ekf", sensors=SUITE, trajectory="circle",
         speed=0.5, acceleration=0.5, enable=True, home=(x, y, z), home_anew=True,
         settings=(f"driver.inner.start_position=[{x},{y},{z}]", f"driver.hang_time={PATIENCE}"),
-        recording=file,
+        output=file,
     )  # fmt: skip
     result = run_command.run(options)
     if result.status:
@@ -53,7 +53,7 @@ def study(driver: str, robot: Path, recording: Path, output: Path) -> Study:
     """The study; what it says of a driver is passed over by the others."""
     return Study(
         driver=driver, robots=[str(robot)], controllers=["kinematic_solver", "mpc", "td3"],
-        estimators=["kinematic_solver", "ks_ekf"], suites=[SUITE], trajectories=PATHS,
+        estimators=["kinematic_solver", "ks_ekf"], sensors=[SUITE], trajectories=PATHS,
         perturbations=["none"],
         seeds=1, speed_max=0.5, acceleration_max=0.5, output=output, workers=1, timeout=120.0,
         driver_settings={

@@ -26,13 +26,13 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import find_phases
 from learned.environment import empty_look, make_actions
 from learned.observation import ObservationScales, observe
-from learned.pictures.accuracy import errors_over_time, rmse_gaussians
+from learned.pictures.accuracy import errors_over_time, rmse_distribution
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
 TITLE = "Real trajectories: commanded to a simulator that was fitted to the robot"
 FOLDER = Path(__file__).parent
-BELLS, OVER_TIME = "learning_recording_{}_rmse.png", "learning_recording_{}_errors.png"
+SHARES, OVER_TIME = "learning_recording_{}_rmse.png", "learning_recording_{}_errors.png"
 STRETCHES = 10
 TIME_STEP = 1.0 / 140.0  # [s], as the identification has it
 MM = 1e3
@@ -227,10 +227,10 @@ def compared(scene: Scene, policies: Sequence[Policy], target: Array, name: str)
         ("paper, real robot: TD3", "23 / 32 / 9", "2.18 in all", *["-"] * 5),
         ("paper, real robot: kinematic solver", "31 / 44 / 24", "11.64 in all", *["-"] * 5),
     )
-    bells, over_time = (pattern.format(name) for pattern in (BELLS, OVER_TIME))
+    shares, over_time = (pattern.format(name) for pattern in (SHARES, OVER_TIME))
     return (
         f"{table(header, [*rows, *paper])}\n\n"
-        f"![RMSE of the stretches]({bells})\n\n![Error over time]({over_time})"
+        f"![RMSE of the stretches]({shares})\n\n![Error over time]({over_time})"
     )
 
 
@@ -251,8 +251,8 @@ def draw(scene: Scene, errors: dict[str, Array], name: str) -> None:
     time = scene.recording.time
     if not errors:
         return
-    bells, over_time = (FOLDER / pattern.format(name) for pattern in (BELLS, OVER_TIME))
-    rmse_gaussians({source: rmse_of(scene, e) for source, e in errors.items()}, bells)
+    shares, over_time = (FOLDER / pattern.format(name) for pattern in (SHARES, OVER_TIME))
+    rmse_distribution({source: rmse_of(scene, e) for source, e in errors.items()}, shares)
     errors_over_time(
         time, errors, over_time, marks=[time[a] for a, _ in scene.stretches[1:]],
         rests=[(float(time[a]), float(time[b - 1])) for a, b in scene.rests],

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
+from carosac_toolkit.pictures.drawing import new_figure
+from carosac_toolkit.pictures.style import SERIES_COLORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

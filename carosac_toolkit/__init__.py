@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from carosac_toolkit.recordings.metadata import RecordingMetadata
     from carosac_toolkit.recordings.poses import PoseSamples
     from carosac_toolkit.recordings.recording import Recording
-    from carosac_toolkit.robot.file import list_robots, load_robot
+    from carosac_toolkit.robot.bundled_names import list_robots
+    from carosac_toolkit.robot.file import load_robot
     from carosac_toolkit.robot.robot import Robot
     from carosac_toolkit.studies.compare.results import StudyResults
     from carosac_toolkit.studies.compare.study import Study
@@ -78,7 +79,7 @@ _MODULES = {
     "Study": "studies.compare.study",
     "StudyResults": "studies.compare.results",
     "export_tum": "recordings.files",
-    "list_robots": "robot.file",
+    "list_robots": "robot.bundled_names",
     "load_recording": "recordings.files",
     "load_robot": "robot.file",
     "save_recording": "recordings.files",

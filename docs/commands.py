@@ -26,18 +26,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from links import markdown
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 LONGEST = 1200  # [s] that a command may take
-PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("notebooks/*.ipynb")))
 
 # Run in the tests; they take a second or so each, in one process.
 QUICK = ("calibrate", "check", "import", "robots", "validate")
 
 # Options that are put in place of the page's, or added, so that a run takes seconds.
 SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
-    "compare": {"--seeds": ("1",), "--trajectories": ("waypoints",), "--workers": ("0",)},
+    "compare": {"--seeds": ("1",), "--trajectories": ("fast_move",), "--workers": ("0",)},
     "evaluate": {"--trajectories": ("2",)},
     "identify": {"--train": ("0:110",), "--test": ("110:160",)},
     "plc": {"--duration": ("40",)},
@@ -50,9 +51,9 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 
 # What makes the results that pages name, and what is there then.
 MADE = (
-    ("compare --seeds 1 --trajectories waypoints --workers 0 --output carosac-results/demo",
+    ("compare --seeds 1 --workers 0 --output carosac-results/demo",
      "carosac-results/demo/report.html"),
-    ("run --duration 2 --recording carosac-results/run/20261122-041500.jsonl",
+    ("run --duration 2 --output carosac-results/run/20261122-041500.jsonl",
      "carosac-results/run/20261122-041500.jsonl"),
 )  # fmt: skip
 
@@ -71,9 +72,9 @@ SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "ru
 
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
-    "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
-    "--suites lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is the "
-    "first command of README",
+    "carosac compare --controllers tilted:Tilted input_shaping mpc --trajectories minimum_snap "
+    "waypoints circle --seeds 20 --output paper": "an hour; the first command "
+    "of the page is the same with one path and two seeds",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
     "carosac train --preset residual --device cuda --set td3.environments=1024 --set "
@@ -120,10 +121,10 @@ class Written:
 
 
 def written() -> list[Written]:
-    """All commands in blocks of README and docs, in order of the pages."""
+    """All commands in blocks of README, docs and text of notebooks, in order of the pages."""
     found = []
     for page in PAGES:
-        text = page.read_text(encoding="utf-8")
+        text = markdown(page)
         for kind, block in re.findall(r"```(console|bash)\n(.*?)```", text, re.DOTALL):
             start = "$ carosac " if kind == "console" else "carosac "
             block = textwrap.dedent(block)  # blocks in lists are indented

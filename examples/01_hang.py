@@ -67,7 +67,8 @@ side.legend(loc="lower right", frameon=False)
 side.set_title("carosac at rest in three poses, sag drawn 10 times larger")
 for k, position in enumerate(POSES):
     label = {"textcoords": "offset points", "weight": "bold"}
-    beside = ((-17, -14), (-20, -12), (7, -14))[k]
+    beside = ((-24, -6), (-20, -12), (7, -14))[k]
+    side.annotate("ABC"[k], position[[1, 2]], xytext=(0, -22), ha="center", **label)
     front.annotate("ABC"[k], position[[0, 2]], xytext=beside, **label)
     area.annotate("ABC"[k], position[[0, 2]], xytext=(7, 7), color="white", **label)
     area.plot(*position[[0, 2]], "o", color="white", mec="black", ms=5)

@@ -21,7 +21,7 @@ START, GOAL = np.array([1.1, -1.8, 2.8]), np.array([-0.4, -1.8, 2.8])  # [m]
 WORLDS = 64
 PERIOD = 0.02  # [s] between commands
 END = 6.0  # [s]
-MOVES = {"in 1.5 s": (1.5, "tab:red"), "in 3.5 s": (3.5, "tab:blue")}
+MOVES = {"in 1.5 s": (1.5, "#d55e00", "-"), "in 3.5 s": (3.5, "#0072b2", "--")}
 
 robot = ct.load_robot("carosac")
 time = np.arange(0.0, END, PERIOD)
@@ -29,7 +29,7 @@ figure, (sway, pull, shape) = plt.subplots(
     1, 3, figsize=(13.5, 4.2), layout="constrained", width_ratios=(1.3, 1.3, 1.0)
 )
 residual = {}
-for label, (duration, color) in MOVES.items():
+for label, (duration, color, line) in MOVES.items():
     share = np.clip(time / duration, 0.0, 1.0)
     share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # least jerk
     path = START + share[:, None] * (GOAL - START)
@@ -50,14 +50,15 @@ for label, (duration, color) in MOVES.items():
     for panel, values in ((sway, 1e3 * error), (pull, np.array(tension))):
         low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=1)
         panel.fill_between(time, low, high, color=color, alpha=0.2, lw=0.0)
-        panel.plot(time, middle, color=color, lw=1.3, label=f"1.5 m {label}")
+        panel.plot(time, middle, color=color, ls=line, lw=1.3, label=f"1.5 m {label}")
     if label == "in 1.5 s":
         fast = shapes
 
 sway.set(
     xlabel="time [s]", ylabel="x, platform minus path [mm]", title="Sway (median and 90 % of 64)"
 )
-sway.legend(frameon=False, loc="upper right")
+sway.set_ylim(-950.0, 1150.0)
+sway.legend(frameon=False, loc="upper center", ncols=2)
 pull.axhline(robot.tension_min[0], color="0.4", ls="--", lw=1)
 pull.set(xlabel="time [s]", ylabel="lowest cable tension [N]", yscale="symlog", ylim=(0, None))
 pull.set_title("Slack cables (dashed: the robot's limit)")
@@ -72,7 +73,7 @@ for when, tone in ((0.0, 0.75), (0.5, 0.55), (0.9, 0.3), (1.4, 0.0)):
     outline = np.array([[-0.21, 0, 0], [0.21, 0, 0], [0.21, 0, -0.16], [-0.21, 0, -0.16]])
     corners = position + outline @ rotation.T
     shape.fill(corners[:, 0], corners[:, 2], color=str(tone), label=f"{when:g} s")
-shape.set(xlabel="x [m]", ylabel="z [m]", title="One robot, fast move", aspect="equal")
+shape.set(xlabel="x [m]", ylabel="z [m]", title="One carosac, fast move", aspect="equal")
 shape.legend(frameon=False, loc="upper center", fontsize=8)
 figure.savefig("02_swing.png", dpi=120)
 print(f"sway two seconds after the fast move: {residual['in 1.5 s']:.0f} mm")

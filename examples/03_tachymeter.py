@@ -17,7 +17,8 @@ import carosac_toolkit as ct
 from calibration import SurveyPlan, calibrate_tachymeter, draw_survey
 
 MAGNIFIED = 500.0  # times that the ellipses are drawn
-COLORS = {"A": "tab:blue", "B": "tab:green"}
+COLORS = {"A": "#0072b2", "B": "#44aa99"}
+WRONG = "#d55e00"
 
 robot = ct.load_robot("carosac")
 scene = draw_survey(robot, np.random.default_rng(3), SurveyPlan(blunders=0.05))
@@ -31,7 +32,7 @@ figure, (site, tests, errors) = plt.subplots(
 # The hall from above: lines of sight, and what the survey says of the exit points.
 for shot, good in zip(shots, used.all(axis=1), strict=True):
     ends = np.array([result.stations[shot.setup].values[:3], result.points[shot.target]])
-    color, width = (COLORS[shot.setup], 0.5) if good else ("tab:red", 1.6)
+    color, width = (COLORS[shot.setup], 0.5) if good else (WRONG, 1.6)
     site.plot(ends[:, 0], ends[:, 1], color=color, lw=width, zorder=1 if good else 2)
 for name, station in result.stations.items():
     site.plot(*station.values[:2], "^", color=COLORS[name], ms=9, label=f"set-up {name}")
@@ -52,17 +53,17 @@ for column, (name, marker) in enumerate((("Hz", "o"), ("V", "D"), ("distance", "
     value, good = np.abs(result.residuals.test[:, column]), used[:, column]
     number = np.arange(1, len(shots) + 1)
     tests.plot(number[good], value[good], marker, ms=4, color=f"C{column}", label=name)
-    tests.plot(number[~good], value[~good], marker, ms=8, color="tab:red")
+    tests.plot(number[~good], value[~good], marker, ms=8, color=WRONG)
 for blunder in result.blunders:
     text = f"shot {blunder.shot}, {blunder.target}:\n{blunder.reading} off by {blunder.size}"
     tests.annotate(
         text, (blunder.shot, blunder.sigmas), xytext=(0, -28), textcoords="offset points",
-        ha="center", fontsize=8, color="tab:red",
+        ha="center", fontsize=8, color=WRONG,
     )  # fmt: skip
 tests.axhline(4.0, color="0.4", ls="--", lw=1)
-tests.set(xlabel="shot", ylabel="residual [its sigmas]", yscale="log", ylim=(1e-2, 2e3))
+tests.set(xlabel="shot", ylabel="residual [its sigmas]", yscale="log", ylim=(3e-3, 1e4))
 tests.set_title("Gross errors are named, and left out (dashed: the limit)", fontsize=10)
-tests.legend(fontsize=8, loc="lower right", ncols=3)
+tests.legend(fontsize=8, loc="upper center", ncols=3, frameon=False)
 
 before = 1e3 * np.linalg.norm(robot.exit_points - scene.truth.exit_points, axis=1)
 after = 1e3 * np.linalg.norm(result.exit_points - scene.truth.exit_points, axis=1)

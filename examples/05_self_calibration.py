@@ -70,9 +70,13 @@ order = order[unknown[order]]
 count = np.arange(len(order))
 sizes.bar(count, error[order], color="tab:blue", label="error")
 sizes.plot(count, sigma[order], "k_", ms=6, label="1 sigma (norm)")
-sizes.set(xlabel="unknown positions, surest first", ylabel="[mm]", title="Positions nobody knew")
+sizes.set(
+    xlabel="unknown positions, surest first",
+    ylabel="position error [mm]",
+    title="Positions nobody knew",
+)
 sizes.legend(frameon=False)
 named = "; ".join(f"sample {b.sample}: {b.what}, {b.sigmas:.0f} sigma" for b in result.blunders)
-figure.suptitle(f"Self-calibration from motor angles. Left out as blunders: {named}")
+figure.suptitle(f"hangprinter, calibrated from its motor angles. Left out as blunders: {named}")
 figure.savefig("05_self_calibration.png", dpi=110)
 print(f"median error of {len(order)} unknown positions: {np.median(error[order]):.2f} mm")

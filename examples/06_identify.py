@@ -34,7 +34,10 @@ for label, position, color in (
 ):  # fmt: skip
     motion.plot(time, 1e3 * (position - measured)[:, 0], color=color, lw=1.2, label=label)
 motion.axvline(run.recording.time[cut], color="tab:red", lw=1.5)
-motion.text(run.recording.time[cut], motion.get_ylim()[1], " not fitted", va="top", color="tab:red")
+motion.text(
+    run.recording.time[cut], 1.01, "not fitted", transform=motion.get_xaxis_transform(),
+    color="tab:red",
+)  # fmt: skip
 motion.set(xlabel="time [s]", ylabel="x, simulated minus measured [mm]", title="Open loop")
 motion.legend(frameon=False, loc="lower left")
 motion.grid(alpha=0.3)

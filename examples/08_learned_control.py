@@ -26,7 +26,7 @@ from sim_warp import SimDriver, SimDriverSettings
 
 SEED = 3
 LATE = 2.0  # [s] after the move
-COLORS = ("tab:red", "tab:orange", "tab:blue")
+LINES = (("#d55e00", "-"), ("#44aa99", "--"), ("#0072b2", "-"))
 
 robot = ct.load_robot("carosac")
 condition = CONDITIONS_BY_NAME["nominal-1"].of(robot)
@@ -54,14 +54,14 @@ logs = {
 
 figure, (space, time) = plt.subplots(1, 2, figsize=(12, 4.2), layout="constrained")
 said = []
-for (name, log), color in zip(logs.items(), COLORS, strict=True):
+for (name, log), (color, line) in zip(logs.items(), LINES, strict=True):
     where, error = log.position[:, 0], log.position[:, 0] - log.reference[:, 0]
     late = where[log.time > path.duration + LATE]
     sway = 1e3 * np.linalg.norm(late.std(axis=0))
     rmse = 1e3 * np.sqrt((error**2).sum(axis=1).mean())
     said.append(f"{name} {rmse:.0f} / {sway:.0f} mm")
-    space.plot(where[:, 0], where[:, 2], color=color, lw=1.2, label=name)
-    time.plot(log.time, 1e3 * error[:, 0], color=color, lw=1.4, label=name)
+    space.plot(where[:, 0], where[:, 2], color=color, ls=line, lw=1.2, label=name)
+    time.plot(log.time, 1e3 * error[:, 0], color=color, ls=line, lw=1.4, label=name)
 target = logs["learned in real time"].reference[:, 0]
 space.plot(target[:, 0], target[:, 2], color="black", lw=1.2, ls="--", label="target")
 space.set(xlabel="x [m]", ylabel="z [m]", title="Where the platform goes")

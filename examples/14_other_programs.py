@@ -54,7 +54,9 @@ for line in shapes:
     space.scatter(*line[0], color="0.2", s=14)
 for ring in ([0, 2, 4, 6, 0], [7, 1, 3, 5, 7]):  # anchor points below and above
     space.plot(*shapes[ring, -1].T, color="0.2", lw=1.6)
-space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Imported, at (0.8, 0.4, 0.8) m")
+space.set(
+    xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Gantry from CASPR, at (0.8, 0.4, 0.8) m"
+)
 space.set_box_aspect((6.3, 4.6, 3.3))
 
 axes = figure.add_subplot(right)

@@ -39,7 +39,7 @@ figure, (path, error, spread) = plt.subplots(
 path.plot(measured.time, measured.position[:, 0], "k.", ms=3, label="withheld poses")
 path.plot(measured.time, solver[:, 0], color="tab:orange", lw=1.0, label="kinematic solver")
 path.plot(found.time, found.position[:, 0], color="tab:blue", lw=1.2, label="smoother")
-path.set(xlabel="time [s]", ylabel="x [m]", title="Across the sway")
+path.set(xlabel="time [s]", ylabel="x [m]", title="carosac, across the sway")
 path.legend(frameon=False)
 
 sigma = np.sqrt(found.covariance[:, :3, :3].diagonal(axis1=1, axis2=2).sum(axis=1))

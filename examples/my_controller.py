@@ -56,8 +56,9 @@ def main():
     controllers = ("straight_line", Tilted, "kinematic_solver")
     with tempfile.TemporaryDirectory() as folder:
         study = ct.Study(
-            controllers=controllers, trajectories=["circle"], seeds=SEEDS, workers=0, output=folder
-        )
+            controllers=controllers, estimators=["kinematic_solver"], sensors=["lengths"],
+            trajectories=["circle"], seeds=SEEDS, workers=0, output=folder,
+        )  # fmt: skip
         rows = study.run(progress=False).rows
     assert all(row["status"] == "ok" for row in rows), [row["reason"] for row in rows]
     error = {

@@ -116,6 +116,15 @@ class PolicyController:
         if settings.policy is not None:
             Policy.load(find_policy(settings.policy))
 
+    @staticmethod
+    def check_robot(robot: Robot) -> None:
+        """Refuse a robot for which no policy is bundled; studies ask before they choose `td3`.
+
+        Raises:
+            InvalidField: There is none, or it was trained for another robot of this name.
+        """
+        check_robot(robot, Policy.load(find_policy(policy_of(robot))))
+
     def reset(self, belief: Belief) -> None:
         """Forget the last action, and past errors."""
         from carosac_toolkit.physics.cable.straight_line import straight_length

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array, batch
-from carosac_toolkit.base.errors import MALFORMED, CarosacError, InvalidField, MissingFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
@@ -39,7 +40,6 @@ OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overf
 ACTION_MAX = 1.0 + 1e-6  # of tanh in float32
 TRIED_ROWS, TRIED_SCALE = 8, 1e3  # observations on which a network is tried, and their multiples
 ONNX_IR_VERSION = 8  # goes with the opset
-INSTALL_COMMAND = "pip install 'carosac-toolkit[learn]'"
 POLICY_FILE_NAME = "an ONNX file that `carosac train` wrote"
 
 
@@ -117,7 +117,7 @@ class Policy:
             MissingFile: There is no such file.
             InvalidField: It is no policy that `write_policy` wrote, or one of another version, that
                 would not do here what it did where it was trained.
-            CarosacError: onnxruntime is not installed.
+            MissingExtra: onnxruntime is not installed.
         """
         if Path(path).is_dir():
             allowed = f"{POLICY_FILE_NAME}: policy.onnx in the folder of a stage"
@@ -202,7 +202,8 @@ def write_policy(
     Raises:
         InvalidField: Layers that do not fit, an unknown activation, or settings without those of
             an environment.
-        CarosacError: onnx is not installed, or the file cannot be written.
+        MissingExtra: onnx is not installed.
+        CarosacError: The file cannot be written.
     """
     if activation not in ACTIVATION_NAMES:
         raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATION_NAMES)}")
@@ -236,10 +237,9 @@ def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float
 
 def _model(layers: Layers, activation: str) -> ModelProto:
     """Build the graph of a perceptron: observation (batch, in) to action (batch, out)."""
-    try:
-        from onnx import TensorProto, helper, numpy_helper
-    except ImportError as error:
-        raise CarosacError(f"writing a policy needs onnx: {INSTALL_COMMAND}") from error
+    require("writing a policy", "onnx")
+    from onnx import TensorProto, helper, numpy_helper
+
     nodes = [helper.make_node(*node) for node in network_nodes(len(layers), activation)]
     for node in nodes:
         if node.op_type == "Gemm":
@@ -291,10 +291,9 @@ def _onnx_failures() -> tuple[type[Exception], ...]:
 
 def _session(path: str | Path) -> Any:
     """Open a file in onnxruntime, on one core; it runs parts of a network as it loads it."""
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise CarosacError(f"a policy needs onnxruntime: {INSTALL_COMMAND}") from error
+    require("a policy", "onnxruntime")
+    import onnxruntime
+
     failures: tuple[type[Exception], ...] = (*_onnx_failures(), ValueError)  # a text not UTF-8
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1

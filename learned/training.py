@@ -19,6 +19,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
@@ -130,10 +131,12 @@ def train(
         The exported policy, or None if stopped before the end.
 
     Raises:
+        MissingExtra: The packages that train are not installed.
         InvalidField: The folder holds a training with other settings, or the checkpoint to start
             from is one of another robot, preset or seed.
         MissingFile: There is no checkpoint to start from.
     """
+    require("training", "onnx", "safetensors", "stable_baselines3", "torch")
     import torch
 
     if _finished(job, folder):

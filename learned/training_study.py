@@ -17,7 +17,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
-from carosac_toolkit.studies.run.cluster import usable_cores
+from carosac_toolkit.studies.run.cluster import default_workers
 from carosac_toolkit.studies.run.folder import free_folder
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
@@ -135,7 +135,7 @@ class TrainingRun:
         if self.device != CPU_DEVICE:
             settings["device"] = self.device
         return Case(
-            robot=self.robot, controller=self.name, estimator=NO_PART, suite=NO_PART,
+            robot=self.robot, controller=self.name, estimator=NO_PART, sensors=NO_PART,
             trajectory=NO_PART, perturbation=NO_PART, seed=self.seed, settings=settings,
         )  # fmt: skip
 
@@ -177,7 +177,7 @@ class TrainingStudy:
             CarosacError: As `carosac_toolkit.studies.run_cases`.
         """
         if workers is None and scheduler is None:
-            workers = usable_cores()
+            workers = default_workers()
         gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
         return run_cases(
             [training.case() for training in self.trainings], CASE_FUNCTION, folder=self.folder,

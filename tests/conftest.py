@@ -17,7 +17,7 @@ DOT = bytes.fromhex(  # a picture of one pixel
     "0000000b4944415478da6364f80f00010501012718e3660000000049454e44ae426082"
 )
 
-ALONE = ("test_examples.py",)  # whose tests are slow and share nothing
+ALONE = ("test_examples.py", "test_notebooks.py")  # whose tests are slow and share nothing
 
 
 def pytest_sessionstart() -> None:

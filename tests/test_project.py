@@ -8,14 +8,17 @@ from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import carosac_toolkit
 from carosac_toolkit.base.yaml import load_yaml
+from carosac_toolkit.physics.kernel_modules import kernel_modules
 from carosac_toolkit.robot.file import parse_robot
 from tests.programs import run_here
-from tests.warm_kernels import kernel_modules
 
 ROOT = Path(__file__).resolve().parents[1]
+README_WORDS_MAX = 700
+README_ANIMATION_BYTES_MAX = 3_000_000
 PAGES = (
     "calibration", "calibration-identify", "calibration-lengths", "calibration-tachymeter",
     "calibration-without-poses", "commissioning", "drivers", "dynamic-estimator",
@@ -66,13 +69,26 @@ def plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def test_links_inside_the_project_lead_somewhere():
-    broken = []
-    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
-        for target in re.findall(r"\]\(([^)\s#]+)", page.read_text(encoding="utf-8")):
-            if "://" not in target and not (page.parent / target).exists():
-                broken.append(f"{page.relative_to(ROOT)}: {target}")
-    assert broken == []
+def test_readme_takes_a_minute_and_begins_with_an_animation():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= README_WORDS_MAX
+    (image,) = re.findall(r"!\[[^\]]*\]\(([^)]*)\)", text)
+    path = ROOT / image
+    assert path.stat().st_size < README_ANIMATION_BYTES_MAX
+    with Image.open(path) as picture:
+        assert picture.n_frames > 50 and picture.info["loop"] == 0  # it repeats
+        assert picture.width >= 800
+    for words in ("It is for you if", "It is not for you if", "never driven a real robot"):
+        assert words in text
+        assert text.index(words) < text.index("## ")  # on the first screen
+
+
+def test_the_demo_is_the_default_study_with_the_animation_of_the_readme():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (words,) = re.findall(r"^demo: .*\n\t@\$\(BIN\)/carosac (.*)$", makefile, re.MULTILINE)
+    assert words.split()[:-1] == (
+        "compare --seeds 6 --animation kinematic_solver mpc td3 --output".split()
+    )
 
 
 def test_robot_file_in_the_docs_is_right():

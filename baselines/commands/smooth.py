@@ -32,7 +32,7 @@ from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.files import load_recording, save_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
-from carosac_toolkit.robot.file import list_robots
+from carosac_toolkit.robot.bundled_names import list_robots
 
 RECORDING_SUFFIXES = (".parquet", ".csv")
 SMOOTHED_FILE = "smoothed.parquet"

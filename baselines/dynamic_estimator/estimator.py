@@ -14,6 +14,7 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, setti
 from baselines.dynamic_estimator.tracker import Track, Tracker
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Innovations, Measurement
 from carosac_toolkit.robot.robot import Robot
 
@@ -57,6 +58,7 @@ class DynamicEstimator:
     Settings: ClassVar = DynamicEstimatorSettings
 
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        require("the dynamic estimator", "pinocchio")
         settings = settings_for(robot, settings)
         self._robot = robot
         self._tracker = Tracker(robot, settings)

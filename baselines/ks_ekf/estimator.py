@@ -33,6 +33,7 @@ from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S, TimedLengths, due, reading_of
 from baselines.length_readings import LengthReadings, reading_tolerances
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.robot import Robot
 
@@ -45,6 +46,7 @@ class KsEkf:
     Settings: ClassVar = KsEkfSettings
 
     def __init__(self, robot: Robot, settings: KsEkfSettings) -> None:
+        require("KS+EKF", "filterpy", "pinocchio")
         self._robot = robot
         self._settings = filter_settings(robot, settings)
         self._tolerances = reading_tolerances(robot, settings.length_noise)

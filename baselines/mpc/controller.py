@@ -29,6 +29,7 @@ from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -62,6 +63,7 @@ class Mpc:
     Settings: ClassVar = MpcSettings
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        require("model predictive control", "casadi")
         scales = Scales(robot)
         settings, weight_time = settings_for(robot, settings)
         jerk_max = settings.jerk_max or scales.jerk(settings.period)

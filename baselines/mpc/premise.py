@@ -12,7 +12,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
 # At home, over the weight of the cable. Of robots drawn at random, all with less were lost by the
-# plan, and one in fifty with more (`python -m benchmarks.any_robot`).
+# plan, and few with more (`python -m benchmarks.any_robot`).
 TENSION_MIN_CABLE_WEIGHTS = 1.5
 
 

@@ -12,9 +12,10 @@ from baselines.smoother.pictures import draw_estimate, draw_unknowns
 from baselines.smoother.result import Smoothed
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.version import __version__
+from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.reports.page import png, write_files
+from carosac_toolkit.reports.page import write_files
 from carosac_toolkit.robot.robot import Robot
 
 TABLE_FILE = "estimate.parquet"

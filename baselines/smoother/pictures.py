@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from baselines.smoother.result import Smoothed
-from carosac_toolkit.pictures.drawing import MEASURED_COLOR, REST_COLOR, SERIES_COLORS, new_figure
+from carosac_toolkit.pictures.drawing import new_figure
+from carosac_toolkit.pictures.style import MEASURED_COLOR, REST_COLOR, SERIES_COLORS
 from carosac_toolkit.validation.phases import find_phases
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from baselines.smoother.scores import score
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.scales import Scales
@@ -66,6 +67,7 @@ def smooth(
         InvalidField: The recording has not what is needed.
         CarosacError: The robot cannot hang on the first lengths, or has no finite motion.
     """
+    require("the smoother", "gtsam", "pinocchio")
     chosen = settings or SmootherSettings()
     end = len(recording.time) if stop is None else stop
     if not 0 <= start < end <= len(recording.time):

@@ -8,7 +8,8 @@ import numpy as np
 
 from calibration.identification.result import Identification
 from calibration.pictures import COLOR_AFTER, COLOR_BEFORE
-from carosac_toolkit.pictures.drawing import REST_COLOR, SERIES_COLORS, new_figure
+from carosac_toolkit.pictures.drawing import new_figure
+from carosac_toolkit.pictures.style import REST_COLOR, SERIES_COLORS
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 

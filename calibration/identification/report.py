@@ -9,8 +9,9 @@ from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
 from calibration.report import ReportContent, observability_html, parameters_html
 from carosac_toolkit.base.tables import Rows
+from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.reports.page import png, table
+from carosac_toolkit.reports.page import table
 
 SCORE_HEADER = (
     "samples", "robot", "x [mm]", "y [mm]", "z [mm]", "norm [mm]", "largest [mm]", "angle [deg]",

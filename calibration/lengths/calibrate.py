@@ -18,6 +18,7 @@ from calibration.observability import Unobservable, judge
 from calibration.prior import Prior
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameter_names import field_of
@@ -55,6 +56,7 @@ def calibrate_lengths(
         MixUp: Readings and poses do not belong together as they are.
         Unobservable: The recording cannot tell the exit points.
     """
+    require("the calibration from lengths", "gtsam")
     known = settings or LengthSettings()
     recording.require_cables(robot)
     end = len(recording.time) if stop is None else stop

@@ -15,15 +15,9 @@ from calibration.pictures import (
     draw_learnt,
     draw_residuals,
 )
-from carosac_toolkit.pictures.drawing import (
-    MEASURED_COLOR,
-    SERIES_COLORS,
-    new_figure,
-    put_legend,
-    set_plane,
-    views,
-)
-from carosac_toolkit.reports.page import png
+from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_plane, views
+from carosac_toolkit.pictures.saving import png
+from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

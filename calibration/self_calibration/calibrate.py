@@ -17,6 +17,7 @@ from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
 from calibration.self_calibration.starting_points import LINE_SIGMA_START_M, starts
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.robot.robot import Robot
 
 LOOSE_EXIT_SHARE = (
@@ -57,6 +58,7 @@ def calibrate_motor_angles(
             few samples to tell the noise.
         Unobservable: The data leave the exit points free.
     """
+    require("self-calibration", "gtsam")
     settings = settings or SelfCalibrationSettings()
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)

@@ -28,7 +28,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.reports.page import check_folder
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 
 
 class MotorAngleOptions(Protocol):

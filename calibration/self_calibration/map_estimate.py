@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import S, X
 
 from calibration.self_calibration.blunder_tests import SettledFit
 from calibration.self_calibration.problem import MotorAngleProblem
@@ -45,6 +43,9 @@ def estimate(problem: MotorAngleProblem, settled: SettledFit) -> MapEstimate:
         problem: The samples.
         settled: Start, noise and which data count.
     """
+    import gtsam
+    from gtsam.symbol_shorthand import S, X
+
     graph = _graph(problem, settled)
     values = gtsam.Values()
     values.insert(S(0), (settled.fit.shared - problem.prior.mean) / problem.prior.sigma)
@@ -68,6 +69,9 @@ def estimate(problem: MotorAngleProblem, settled: SettledFit) -> MapEstimate:
 
 def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
     """Build the graph: priors, known positions, and one factor of lengths for each sample."""
+    import gtsam
+    from gtsam.symbol_shorthand import S, X
+
     graph = gtsam.NonlinearFactorGraph()
     scale, trust, angles = problem.prior.sigma, settled.trust, problem.angles
     prior = gtsam.noiseModel.Gaussian.Information(

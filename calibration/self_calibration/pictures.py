@@ -8,7 +8,8 @@ import numpy as np
 
 from calibration.pictures import COLOR_AFTER, COLOR_BEFORE, COLOR_OUTLIER
 from calibration.self_calibration.result import SelfCalibration
-from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
+from carosac_toolkit.pictures.drawing import new_figure
+from carosac_toolkit.pictures.style import SERIES_COLORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

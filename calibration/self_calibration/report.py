@@ -15,7 +15,8 @@ from calibration.self_calibration.pictures import draw_layout, draw_left_out
 from calibration.self_calibration.result import SelfCalibration
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.tables import Rows
-from carosac_toolkit.reports.page import png, table
+from carosac_toolkit.pictures.saving import png
+from carosac_toolkit.reports.page import table
 
 BLUNDER_HEADER = ("sample", "what was left out", "misfit [sigmas]")
 LEFT_OUT_HEADER = ("sample", "x [mm]", "y [mm]", "z [mm]", "distance [mm]", "1 sigma x, y, z [mm]")

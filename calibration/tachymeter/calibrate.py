@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from calibration.estimate import ParameterEstimate
@@ -18,6 +17,7 @@ from calibration.tachymeter.sightings import SightedPulley, elevation
 from calibration.tachymeter.survey_fit import CHECKED_REDUNDANCY, SurveyFit, fit
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.parameters import values_of
 from carosac_toolkit.robot.robot import Robot
@@ -47,6 +47,7 @@ def calibrate_tachymeter(
         InvalidField: Targets, sightings or pulleys do not fit the robot.
         Unobservable: The survey has no place in the robot's frame, or is not held together.
     """
+    require("the tachymeter calibration", "gtsam")
     check_targets(robot, survey)
     stations, points = first_values(survey)
     pulleys = _pulleys(robot, survey)
@@ -153,6 +154,8 @@ def _exit_prior(robot: Robot, survey: Survey) -> dict[str, tuple[Array, Array]]:
 
 def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str, Array]) -> Any:
     """Return the first values for gtsam."""
+    import gtsam
+
     values = gtsam.Values()
     for name, key in network.keys.items():
         kind, _, owner = name.partition(" ")

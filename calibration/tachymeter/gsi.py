@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geocompy.gsi.gsiformat import GsiPPMPrismConstantWord, GsiUnit, parse_gsi_word
 
 from calibration.tachymeter.observations import face_one, polar
 from calibration.tachymeter.records import (
@@ -27,6 +26,7 @@ from calibration.tachymeter.records import (
     shortened_faults,
 )
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.extras import require
 
 _ANGLE_WORDS = {21: "Hz", 22: "V"}
 _LENGTH_WORDS = {
@@ -35,11 +35,9 @@ _LENGTH_WORDS = {
 }  # fmt: skip
 _WORD = re.compile(r"[0-9]{2}[0-9.].{3}[+-]")
 _UNIT_NAMES = {
-    GsiUnit.MILLI: "m", GsiUnit.DECIMILLI: "m", GsiUnit.CENTIMILLI: "m",
-    GsiUnit.MILLIFEET: "ft", GsiUnit.DECIMILLIFEET: "ft",
-    GsiUnit.GON: "gon", GsiUnit.DEG: "decimal degrees", GsiUnit.DMS: "degrees, minutes, seconds",
-    GsiUnit.MIL: "mil",
-}  # fmt: skip
+    "0": "m", "6": "m", "8": "m", "1": "ft", "7": "ft",
+    "2": "gon", "3": "decimal degrees", "4": "degrees, minutes, seconds", "5": "mil",
+}  # by the digit of a word  # fmt: skip
 _POLAR_WORDS, _TARGET_WORDS, _STATION_WORDS = (21, 22, 31), (81, 82, 83), (84, 85, 86)
 
 
@@ -68,9 +66,11 @@ def read_gsi(path: str) -> list[Record]:
         Its observations in order, in face I.
 
     Raises:
+        MissingExtra: geocompy is not installed.
         MissingFile: There is no such file.
         InvalidFile: Names every line that cannot be read, and why.
     """
+    require("reading GSI files", "geocompy")
     reader = _GsiReader(path=path, setup=Path(path).stem)
     for number, line in enumerate(read_lines(path), start=1):
         if not line.strip():
@@ -159,6 +159,8 @@ def _values(
     reader: _GsiReader, number: int, words: list[str]
 ) -> tuple[dict[int, float], float | None]:
     """Read angles [rad], lengths [m] by word index, and the prism constant [m] of a block."""
+    from geocompy.gsi.gsiformat import GsiPPMPrismConstantWord, parse_gsi_word
+
     values: dict[int, float] = {}
     prism = None
     for word in words:
@@ -193,7 +195,7 @@ def _check_unit(reader: _GsiReader, number: int, word: str, index: int) -> None:
     """Refuse a unit of the wrong kind, and another one than in the lines above."""
     kind = "angles" if index in _ANGLE_WORDS else "lengths"
     digit = word[5]
-    unit = _UNIT_NAMES.get(GsiUnit(int(digit))) if digit in "012345678" else None
+    unit = _UNIT_NAMES.get(digit)
     angular = unit is not None and unit not in ("m", "ft")
     if unit is None or angular != (kind == "angles"):
         allowed = "2 gon, 3 degrees, 4 DMS, 5 mil" if kind == "angles" else "0, 6, 8 m; 1, 7 ft"

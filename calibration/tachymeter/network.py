@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -101,6 +100,8 @@ class Network:
         Returns:
             A ``gtsam.NonlinearFactorGraph``.
         """
+        import gtsam
+
         graph = gtsam.NonlinearFactorGraph()
         scale = np.sqrt(weight) / self.sigma
         for name in self.survey.setups:
@@ -134,6 +135,8 @@ class Network:
             Jacobian, shape (m + priors, size), and residual, shape (m + priors,), in the fixed
             order of rows.
         """
+        import gtsam
+
         ordering = gtsam.Ordering()
         for key in self.keys.values():
             ordering.push_back(key)
@@ -251,6 +254,8 @@ def tilted(point: Array, tilt: Array) -> tuple[Array, Array]:
 
 def _custom(keys: list[int], rows: int, error: Callable[..., Array]) -> Any:
     """Return a factor whose error is whitened already."""
+    import gtsam
+
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, error)
 
 
@@ -268,11 +273,15 @@ def _level_factor(key: int, sigma: float) -> Any:
 
 
 def _key(letter: str, index: int) -> int:
+    import gtsam
+
     return int(gtsam.symbol(letter, index))
 
 
 def _size(key: int) -> int:
     """Return the dimension of an unknown."""
+    import gtsam
+
     return _UNKNOWN_SIZES[chr(gtsam.symbolChr(key))]
 
 

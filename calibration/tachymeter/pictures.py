@@ -10,7 +10,8 @@ from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER
 from calibration.tachymeter.observations import READING_NAMES
 from calibration.tachymeter.result import TachymeterResult
 from calibration.tachymeter.survey_fit import BLUNDER_SIGMAS
-from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
+from carosac_toolkit.pictures.drawing import new_figure
+from carosac_toolkit.pictures.style import SERIES_COLORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,7 +17,8 @@ from calibration.tachymeter.tables import (
     shot_rows,
 )
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.reports.page import png, table
+from carosac_toolkit.pictures.saving import png
+from carosac_toolkit.reports.page import table
 
 
 def report_content(result: TachymeterResult) -> ReportContent:

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -171,6 +170,8 @@ def _solve(network: Network, values: Any, used: NDArray[np.bool_]) -> Any:
 
 def _optimize(network: Network, values: Any, weight: Array, iterations: int) -> Any:
     """Optimise by Levenberg-Marquardt."""
+    import gtsam
+
     settings = gtsam.LevenbergMarquardtParams()
     settings.setMaxIterations(iterations)
     settings.setRelativeErrorTol(1e-12)

@@ -7,6 +7,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
+from carosac_toolkit.base.extras import naming_extras
+
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
@@ -30,7 +32,8 @@ def lazy_names(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = f"{package}.{modules[name]}"
         try:
-            return getattr(import_module(module), name)
+            with naming_extras(f"{package}.{name}"):
+                return getattr(import_module(module), name)
         except AttributeError as error:  # would read as if the package had no such name
             raise ImportError(f"{module}: {error}") from error
 

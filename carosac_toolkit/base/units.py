@@ -17,7 +17,17 @@ _UNIT_TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "kg": ("mass", {"g": 1e-3, "kg": 1.0, "t": 1e3}),
     "kg/m": ("linear density", {"g/km": 1e-6, "g/m": 1e-3, "kg/km": 1e-3, "kg/m": 1.0}),
     "kg/m^3": ("density", {"kg/m^3": 1.0, "g/cm^3": 1e3}),
-    "kg*m^2": ("inertia", {"g*m^2": 1e-3, "kg*cm^2": 1e-4, "kg*m^2": 1.0}),
+    "kg*m^2": (
+        "inertia",
+        {
+            "g*mm^2": 1e-9,
+            "g*cm^2": 1e-7,
+            "kg*mm^2": 1e-6,
+            "kg*cm^2": 1e-4,
+            "g*m^2": 1e-3,
+            "kg*m^2": 1.0,
+        },
+    ),
     "N": ("force", {"mN": 1e-3, "N": 1.0, "kN": 1e3, "MN": 1e6}),
     "N/m": ("force per length", {"N/m": 1.0, "N/mm": 1e3, "kN/m": 1e3}),
     "Pa": ("stress", {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "N/mm^2": 1e6, "GPa": 1e9}),

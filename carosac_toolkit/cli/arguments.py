@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
+from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType, NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -13,6 +15,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.cli.option_source import read_options
 
 _TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
@@ -20,6 +23,11 @@ _TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
     str: ("TEXT", "a text"),
     Path: ("PATH", "a path"),
 }
+
+
+WORD_LETTERS_MIN = 4  # of an unknown option, to look for it in the help of others
+SUGGESTIONS_MAX = 3
+_RENAMED_OPTIONS = {"--suites": "--sensors", "--suite": "--sensors"}  # where a command has the new
 
 
 def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
@@ -98,10 +106,32 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
     token = str(event.tokens[0])
     if not token.startswith("-"):
         return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
+    flag = token.partition("=")[0]
     known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
-    options_only = [flag for flag in known if flag not in _positionals(options)]
-    hint = did_you_mean(token.partition("=")[0], options_only)
-    return InvalidField("option", repr(token), f"{', '.join(options_only)}{hint}")
+    options_only = [name for name in known if name not in _positionals(options)]
+    if _RENAMED_OPTIONS.get(flag) in options_only:
+        return CarosacError(f"{flag} is now {_RENAMED_OPTIONS[flag]}")
+    allowed = f"{', '.join(options_only)}{_nearest_options(flag, options, options_only[1:])}"
+    return InvalidField("option", repr(token), allowed)
+
+
+def _nearest_options(flag: str, options: type, known: Sequence[str]) -> str:
+    """Ask for options with a name like this one, or with this word in their help."""
+    word = flag.strip("-")
+    if word in ("h", "hel", "helps"):
+        known = ["--help", *known]
+    near = get_close_matches(word, [name.strip("-") for name in known], n=1, cutoff=0.6)
+    if not near and len(word) >= WORD_LETTERS_MIN:
+        stem = re.escape(word.removesuffix("s"))
+        near = [
+            option.flags[0].strip("-")
+            for option in read_options(options.__module__, options.__name__)
+            if option.flags
+            and option.flags[0] in known
+            and re.search(rf"\b{stem}s?\b", option.help, re.IGNORECASE)
+        ]
+    shown = [f"'--{name}'" for name in near[:SUGGESTIONS_MAX]]
+    return f"; did you mean {' or '.join(shown)}?" if shown else ""
 
 
 def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
@@ -112,7 +142,11 @@ def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
 
 def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
     """Return the error for an option without its value."""
-    return InvalidField(_spelling(event.argument), "nothing", f"a value; see '{event.prog} --help'")
+    flag, metavar = _spelling(event.argument), str(event.argument.lowered.metavar or "")
+    given = _written_after(flag, words)
+    if not given:
+        return InvalidField(flag, "nothing", f"a value; see '{event.prog} --help'")
+    return InvalidField(flag, repr(" ".join(given)), f"{metavar}; see '{event.prog} --help'")
 
 
 def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
@@ -153,6 +187,16 @@ def _written(flag: str, words: list[str]) -> str:
         if word.startswith(f"{flag}="):
             return repr(word.partition("=")[2])
     return "a value"
+
+
+def _written_after(flag: str, words: list[str]) -> list[str]:
+    """Return the values that the user wrote for an option."""
+    given: list[str] = []
+    for word in words[words.index(flag) + 1 :] if flag in words else []:
+        if word.startswith("--"):
+            break
+        given.append(word)
+    return given
 
 
 def _names(options: type) -> list[str]:

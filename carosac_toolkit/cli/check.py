@@ -12,39 +12,34 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Annotated
 
-import tyro
-
-from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.cli.check_tables import describe
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.common import CommandResult, OutputFile, RobotOptions
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.robot.file import parse_file, robot_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(RobotOptions):
     """Options of ``carosac check``."""
 
-    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
-    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     picture: OutputFile = None
-    """Draw the robot at home into this PNG file."""
+    """Draw the robot at home into this file: .png, .svg or .pdf; without a suffix, all three."""
 
 
 def run(options: Options) -> CommandResult:
     """Check, describe and draw one robot."""
-    check_writable("--picture", options.picture, (".png",))
+    from carosac_toolkit.pictures.saving import check_picture, save_picture
+
+    check_picture("--picture", options.picture)
     robot, file = parse_file(robot_text(options.robot), source=options.robot)
     report = report_robot(robot, file)
     print("\n".join(describe(report)))
     if options.picture is not None:
         from carosac_toolkit.pictures.robot import draw_robot
 
-        with replacing(options.picture) as temporary:
-            draw_robot(report).savefig(temporary, dpi=150)
-        print(f"\npicture: {options.picture}")
+        files = save_picture(draw_robot(report), options.picture)
+        print(f"\npicture: {', '.join(map(str, files))}")
     sys.stdout.flush()
     for warning in report.warnings:
         print(f"carosac: warning: {warning}", file=sys.stderr)

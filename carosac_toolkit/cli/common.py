@@ -10,10 +10,12 @@ A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -24,6 +26,10 @@ LOOP_RATE_MAX_HZ = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 OutputFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
+RobotArgument = Annotated[
+    str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")
+]
+
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
@@ -33,6 +39,41 @@ class CommonOptions:
     """Write the numbers that the command prints to this file as well."""
     seed: int = 0
     """Seed of everything random; the same seed gives the same numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions(CommonOptions):
+    """Options of a command about one robot, which is named as ``ROBOT`` or as ``--robot ROBOT``.
+
+    Once made, `robot` holds the name, however it was given.
+    """
+
+    robot_default: ClassVar[str | None] = None  # None: a robot must be named
+    robot_argument: RobotArgument = ""
+    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = ""
+    """The robot, instead of ROBOT."""
+
+    def __post_init__(self) -> None:
+        """Settle which robot is meant."""
+        if self.robot and self.robot_argument and self.robot != self.robot_argument:
+            allowed = f"one robot; the argument is {self.robot_argument!r}"
+            raise InvalidField("--robot", repr(self.robot), allowed)
+        name = self.robot or self.robot_argument or self.robot_default
+        if name is None:
+            allowed = "a robot, as ROBOT or --robot ROBOT; carosac robots lists those there are"
+            raise InvalidField("ROBOT", "nothing", allowed)
+        object.__setattr__(self, "robot", name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DefaultRobotOptions(RobotOptions):
+    """Options of a command that takes the robot ``carosac`` where none is named."""
+
+    robot_default: ClassVar[str | None] = "carosac"
+    robot_argument: RobotArgument = ""
+    """A bundled robot (`carosac robots` lists them) or a path to a YAML file; by default
+    carosac."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +87,17 @@ class CommandResult:
 
     data: dict[str, Any] = field(default_factory=dict)
     status: int = 0
+
+
+@contextlib.contextmanager
+def sensors_named() -> Iterator[None]:
+    """Name the option in the error of a driver over its setting ``suite``."""
+    try:
+        yield
+    except InvalidField as error:
+        if error.field != "suite":
+            raise
+        raise InvalidField("--sensors", error.value, error.allowed) from error
 
 
 def period_of_rate(rate: float) -> float:

@@ -2,7 +2,7 @@
 
 Every combination is a case; cases run on all cores, or on a dask cluster. Warns of paths that the
 tensions and winches of a robot cannot follow. Prints one table of errors, tensions and limited
-commands, what is surprising in it, what diverged or failed and why, and who is better; writes
+commands, what diverged or failed and why, and what the numbers say in three sentences; writes
 pictures, one self-contained report.html and the row of every case in Parquet. Interrupted, the same
 command with the same --output goes on.
 
@@ -20,27 +20,34 @@ from carosac_toolkit.cli.compare_options import Options
 from carosac_toolkit.cli.compare_reference import run_suite
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
-from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.reports.study import (
+    ANIMATION_FILE,
+    animation_of,
+    check_animation,
+    write_report,
+)
 from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.studies.compare.defaults import (
+    DEFAULT_SEEDS,
+    QUICK_SEEDS,
+    default_choice,
+    default_controllers,
+)
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
+from carosac_toolkit.studies.compare.headlines import headlines
 from carosac_toolkit.studies.compare.paired import (
     check_baseline,
     paired_blocks,
     ways_of,
 )
 from carosac_toolkit.studies.compare.results import StudyResults
-from carosac_toolkit.studies.compare.study import (
-    DEFAULT_CONTROLLERS,
-    DEFAULT_ESTIMATORS,
-    DEFAULT_SEEDS,
-    QUICK_SEEDS,
-    Study,
-)
-from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.study import Study
+from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 from carosac_toolkit.trajectories.catalogue import default_limits
+from carosac_toolkit.trajectories.path_file import is_path_file
 
 
 def run(options: Options) -> CommandResult:
@@ -49,37 +56,44 @@ def run(options: Options) -> CommandResult:
         return run_suite(options, options.suite)
     if options.against is not None:
         raise InvalidField("--against", repr(options.against), "nothing without --suite")
-    study = _study(options)
+    study, left_out = _study(options)
     study.check()
     if options.baseline is not None:
-        check_baseline(options.baseline, ways_of(study.controllers, study.estimators, study.suites))
+        check_baseline(
+            options.baseline, ways_of(study.controllers, study.estimators, study.sensors)
+        )
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
+    if options.animation:
+        check_animation(options.animation, study.controllers)
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
+    for text in left_out:
+        print(wrapped(text, width), flush=True)
+    study.prepare()
     for one in infeasible(study.feasibility):
         print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
     results = study.run()
-    sentences = conclusions(results)
+    sentences, short = conclusions(results), headlines(results)
     blocks = paired_blocks(results, options.baseline)
-    surprising = surprises(results)
-    _print(results, surprising, sentences, width)
-    files = write_report(results, sentences, _words(options, study), blocks)
-    pictures = sum(file.suffix == ".png" for file in files)
-    print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
-    print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
+    _print(results, short, width)
+    animation = animation_of(results, options.animation) if options.animation else None
+    write_report(results, sentences, _words(options, study), blocks, animation)
+    beside = "" if animation is None else f" and {ANIMATION_FILE}"
+    print(f"report{beside}: {results.folder / 'report.html'}")
     data = {
         **results.data(),
         "paired": [block.data() for block in blocks],
-        "surprises": surprising,
+        "surprises": surprises(results),
+        "headlines": short,
         "conclusions": sentences,
         "output": str(results.folder),
     }
     return CommandResult(data, status=0 if results.complete else 1)
 
 
-def _study(options: Options) -> Study:
-    """Return the study that the options ask for."""
+def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
+    """Return the study that the options ask for, and a sentence for each controller left out."""
     count = (
         options.seeds
         if options.seeds is not None
@@ -91,13 +105,16 @@ def _study(options: Options) -> Study:
         raise InvalidField("--seeds", str(count), "1 or more")
     if options.seed < 0:
         raise InvalidField("--seed", str(options.seed), "0 or more")
-    controllers = options.controllers or DEFAULT_CONTROLLERS
-    estimators = options.estimators or DEFAULT_ESTIMATORS
-    return Study(
+    usual = default_choice(options.driver)
+    controllers, left_out = options.controllers, tuple[str, ...]()
+    if not controllers:
+        controllers, left_out = default_controllers(options.driver, options.robots)
+    estimators = options.estimators or usual.estimators
+    study = Study(
         robots=options.robots,
         controllers=controllers,
         estimators=estimators,
-        suites=options.suites,
+        sensors=options.sensors or usual.sensors,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
         seeds=range(options.seed, options.seed + count),
@@ -112,17 +129,19 @@ def _study(options: Options) -> Study:
         retry=options.retry,
         **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
+    return study, left_out
 
 
 def _words(options: Options, study: Study) -> list[str]:
     """Return the command line that repeats this study."""
-    axes = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+    axes = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
     return [
         "carosac", "compare",
         *(word for name in axes for word in (f"--{name}", *getattr(study, name))),
         "--seed", str(options.seed), "--seeds", str(len(study.seed_list)),
         "--driver", options.driver, "--timeout", f"{options.timeout:g}",
         *(["--baseline", options.baseline] if options.baseline is not None else []),
+        *(["--animation", *options.animation] if options.animation else []),
         *(["--batch", str(options.batch)] if options.batch != 1 else []),
         *(["--speed", f"{options.speed:g}"] if options.speed is not None else []),
         *(["--acceleration", f"{options.acceleration:g}"] if options.acceleration is not None
@@ -133,18 +152,27 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """Describe the study that is about to run."""
+    drawn = [name for name in study.trajectories if not is_path_file(name)]
+    files = [name for name in study.trajectories if name not in drawn]
+    paths = [f"{counted(len(drawn), 'trajectory', 'trajectories')} ({', '.join(drawn)}) of up to "
+             f"{_limits(study)}"] if drawn else []  # fmt: skip
+    if files:
+        own = "as fast as the file says" if len(files) == 1 else "as fast as the files say"
+        paths.append(f"{', '.join(files)} {own}")
     return (
         f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
-        f"{', '.join(study.perturbations)}: "
-        f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
-        f"({', '.join(study.trajectories)}) of up to {_limits(study)}, "
-        f"{counted(len(study.seed_list), 'seed')}"
+        f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
+        f"{counted(len(study.seed_list), 'seed')}, in all {counted(len(study.cases()), 'case')}"
     )
 
 
 def _limits(study: Study) -> str:
     """Return largest speed and acceleration in words, from the least to the most of the robots."""
-    each = [default_limits(load_robot(name)) for name in study.robots]
+    each = [
+        default_limits(load_robot(robot), path)
+        for robot in study.robots
+        for path in study.trajectories
+    ]
     words = []
     for asked, values, unit in zip(
         (study.speed_max, study.acceleration_max), zip(*each, strict=True), ("m/s", "m/s^2"),
@@ -157,17 +185,14 @@ def _limits(study: Study) -> str:
     return " and ".join(words)
 
 
-def _print(results: StudyResults, surprising: list[str], sentences: list[str], width: int) -> None:
-    """Print the table, the surprises, the failures and the conclusions."""
-    print(f"\n{terminal_table(results, width)}\n")
-    print(wrapped(caption(results, width), width))
-    if surprising:
+def _print(results: StudyResults, sentences: list[str], width: int) -> None:
+    """Print the table, what it does not show, the failures and the headlines."""
+    print(f"\n{terminal_table(results, width)}\n{wrapped(caption(results, width), width)}")
+    grave, failed = grave_surprises(results), failures(results)
+    if grave or failed:
         print()
-    for line in surprising:
+    for line in grave:
         print(wrapped(line, width, "! "))
-    failed = failures(results)
-    if failed:
-        print()
     for line in failed:
         indent = " " * (len(line) - len(line.lstrip()))
         print(wrapped(line.lstrip(), width, indent))

@@ -9,7 +9,7 @@ import tyro
 
 from carosac_toolkit.cli.common import CommonOptions, OutputFolder
 from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION
-from carosac_toolkit.studies.compare.study import DEFAULT_TRAJECTORIES
+from carosac_toolkit.studies.compare.defaults import DEFAULT_TRAJECTORIES
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S
 from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER
 
@@ -21,11 +21,11 @@ class Options(CommonOptions):
     robots: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--robot"])] = ("carosac",)
     """Bundled robots or YAML files."""
     controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = ()
-    """Controllers by name, or `module:Class` for your own; by default straight_line and
-    kinematic_solver."""
+    """Controllers by name, or `module:Class` for your own; by default straight_line,
+    kinematic_solver, input_shaping, mpc and, where the robot has a bundled policy, td3."""
     estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = ()
     """Estimators by name, or `module:Class`; `truth` is the true state of a simulated driver; by
-    default kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
+    default dynamic_estimator. NAME@LABEL is NAME with settings of its own, here and among the
     controllers."""
     suite: str | None = None
     """Run a reference suite, `reference`: it fixes robots, paths, plants, seeds and sensors. With
@@ -33,12 +33,15 @@ class Options(CommonOptions):
     against: str | None = None
     """With --suite: folder of results of the same suite to compare with in pairs, such as
     benchmarks/reference."""
-    suites: tuple[str, ...] = ("lengths",)
-    """Sensor suites of the driver."""
+    sensors: tuple[str, ...] = ()
+    """Sensors of the driver: `lengths`, `lengths+imu`, `lengths+pose`, `lengths+imu+pose`,
+    `lengths+tension` or `lengths+imu+tension`; by default lengths+imu."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )
-    """Trajectories of the catalogue."""
+    """Trajectories of the catalogue, or files: a .csv with the columns time_s, position_x_m,
+    position_y_m and position_z_m, or a recording or the folder with one; its speeds are the
+    file's."""
     perturbations: Annotated[
         tuple[str, ...],
         tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
@@ -50,12 +53,14 @@ class Options(CommonOptions):
     10."""
     driver: str = DEFAULT_DRIVER
     """Driver to control: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
-    `module:Class`."""
+    `module:Class`. On others than `simulator` the defaults are the first two controllers, the
+    estimator kinematic_solver and lengths alone."""
     speed: float | None = None
-    """Largest speed of the trajectories [m/s]; by default 1 m/s on the robot carosac, and on others
-    as much more or less as their size asks for."""
+    """Largest speed of the trajectories of the catalogue [m/s]; by default 1 m/s on the robot
+    carosac, 2 m/s for fast_move, and on others as much more or less as their size asks for."""
     acceleration: float | None = None
-    """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2."""
+    """Largest acceleration of the trajectories [m/s^2]; by default 1 m/s^2, and
+    2 m/s^2 for fast_move."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
@@ -63,7 +68,10 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     baseline: str | None = None
     """Baseline of all paired comparisons: a controller, or those parts of `CONTROLLER / ESTIMATOR /
-    SUITE` that differ; by default the first row of the table."""
+    SENSORS` that differ; by default the first row of the table."""
+    animation: tuple[str, ...] = ()
+    """Draw animation.webp, which takes half a minute: the first seed of these controllers, one to
+    three, side by side, with cables coloured by tension."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds is given: under a minute with the other defaults. A full run in the
     same folder continues from there."""

@@ -4,14 +4,13 @@ Takes folders of carosac compare, validate, evaluate and train, or one above the
 carosac-results, and draws every figure whose data is there; of each that it cannot draw, it says
 which command makes the data. Where several folders would do, the first one is drawn.
 
-Example: carosac figures runs/compare runs/evaluate --output figures --formats pdf
+Example: carosac figures runs/compare runs/evaluate --output figures --style paper
 
 Exit status 1 means that no figure was drawn.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +22,14 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.loop import plugins
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS, picture_files
+from carosac_toolkit.pictures.style import StyleName, using_style
 from carosac_toolkit.reports.page import write_files
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure
 
-FIGURE_FORMATS = ("png", "pdf", "svg")
 DEFAULT_FIGURES_FOLDER = Path("carosac-results") / "figures"
-FIGURE_DPI = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +38,11 @@ class Options(CommonOptions):
 
     folders: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = ()
     """Results folders; without any, only figures that need no data are drawn."""
-    formats: tuple[str, ...] = ("png", "pdf")
-    """File formats: `png`, `pdf` and `svg`."""
+    formats: tuple[str, ...] = PICTURE_FORMATS
+    """File formats: `png`, `svg` and `pdf`."""
+    style: StyleName = "screen"
+    """`paper`: serif fonts of 8 points. In either style, figures are as wide as one or two columns
+    of an IEEE journal (3.5 or 7.16 inches)."""
     output: OutputFolder = None
     """Folder for the figures; by default carosac-results/figures."""
 
@@ -51,17 +51,16 @@ def run(options: Options) -> CommandResult:
     """Draw the figures whose data is there, and name the missing ones."""
     from carosac_toolkit.pictures.paper_figure import find_sources
 
-    for name in options.formats:
-        if name not in FIGURE_FORMATS:
-            raise InvalidField("--formats", repr(name), f"some of {list(FIGURE_FORMATS)}")
-    if not options.formats:
-        raise InvalidField("--formats", "none", f"some of {list(FIGURE_FORMATS)}")
+    for name in options.formats or ("none",):
+        if name not in PICTURE_FORMATS:
+            raise InvalidField("--formats", repr(name), f"some of {list(PICTURE_FORMATS)}")
     sources = find_sources(options.folders)
     folder = options.output or DEFAULT_FIGURES_FOLDER
     done: list[dict[str, Any]] = []
     skipped: list[dict[str, str]] = []
     for wanted in all_figures():
-        drawn = wanted.draw(sources)
+        with using_style(options.style):
+            drawn = wanted.draw(sources)
         if not drawn:
             skipped.append({"name": wanted.name, "what": wanted.what, "command": wanted.command})
         for one in drawn:
@@ -86,20 +85,9 @@ def _write(
     """Write a figure in all formats."""
     parts = [f"{wanted.place:02d}", wanted.name, *([drawn.more] if drawn.more else [])]
     name = "_".join(parts)
-    contents = {f"{name}.{suffix}": _rendered(drawn.figure, suffix) for suffix in formats}
-    files = write_files(folder, contents)
+    files = write_files(folder, picture_files({name: drawn.figure}, formats))
     source = None if drawn.source is None else str(drawn.source)
     return {"name": name, "what": wanted.what, "source": source, "files": files}
-
-
-def _rendered(figure: Figure, suffix: str) -> bytes:
-    """Render a figure; vector files hold no date, so that equal figures give equal files."""
-    stream = io.BytesIO()
-    more: dict[str, Any] = {"dpi": FIGURE_DPI}
-    if suffix != "png":
-        more["metadata"] = {"Date": None} if suffix == "svg" else {"CreationDate": None}
-    figure.savefig(stream, format=suffix, **more)
-    return stream.getvalue()
 
 
 def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path) -> None:

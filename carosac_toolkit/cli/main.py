@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import ast
 import errno
 import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.extras import naming_extras
 from carosac_toolkit.base.terminal import plain_output, printable
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.loop.plugins import entry_points_of, load
+from carosac_toolkit.cli.option_source import read_summary
+from carosac_toolkit.loop.plugins import entry_points_of, lacking, load
 
 _USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
 
@@ -112,12 +112,13 @@ def _run(name: str, words: list[str]) -> int:
     from carosac_toolkit.cli.common import CommandResult
     from carosac_toolkit.cli.outputs import check_outputs
 
-    module: ModuleType = load("commands", name)
-    options = parse_options(module, name.replace(".", " "), words)
+    module: ModuleType = load("commands", name, complete=False)
+    options = parse_options(module, name.replace(".", " "), words)  # here --help ends it
+    load("commands", name)
     check_outputs(options)
     json_path: Path | None = getattr(options, "json", None)
     try:
-        with plain_output():
+        with plain_output(), naming_extras(f"command '{name.replace('.', ' ')}'"):
             answer = module.run(options)
     except SystemExit as error:
         if error.code:
@@ -145,11 +146,11 @@ def _summaries(group: str = "") -> str:
 
 def _summary(entry: EntryPoint) -> str:
     """Read a command's summary from its source."""
-    spec = find_spec(entry.module)
-    if spec is None or spec.origin is None:
+    summary = read_summary(entry.module)
+    if summary is None:
         return f"(not installed: {entry.value})"
-    source = Path(spec.origin).read_text(encoding="utf-8")
-    return (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
+    needed = lacking(entry)
+    return f"{summary} Needs {needed}." if needed else summary
 
 
 if __name__ == "__main__":

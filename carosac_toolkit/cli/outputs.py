@@ -1,4 +1,4 @@
-"""Checks that no command overwrites its input, writes a path twice, or fails to write at the end.
+"""Checks that no command overwrites its input or others' files, or fails to write at the end.
 
 Works on the fields of any ``Options``: each of type `Path` is an output, a folder where its metavar
 is DIR; each text that is the path of something there is an input.
@@ -6,6 +6,7 @@ is DIR; each text that is the path of something there is an input.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import Field, fields
@@ -14,6 +15,24 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable, try_folder
+
+OWN_FILES = {  # in folders of results, with a text in each that others hardly have
+    "study.json": '"carosac-study/',
+    "*/study.json": '"carosac-study/',
+    "reference.json": '"carosac-reference/',
+    "report.html": "carosac",
+    "report_settings.json": "carosac",
+    "scores.npz": "position",
+    "estimate.parquet": "carosac",
+    "smoothed.parquet": "carosac",
+    "settings.json": "td3",
+    "*/settings.json": "td3",
+    "positions*.csv": "margin",
+    "positions*.parquet": "margin",
+    "[01][0-9]_*.*": "",  # figures
+}
+OWN_BYTES_MAX = 2**23  # [bytes] of a file that are searched
+NAMES_SHOWN = 3
 
 
 class _Named(NamedTuple):
@@ -62,6 +81,32 @@ def _check_folder(output: _Named) -> None:
         allowed = f"a folder; {existing} is a file" if os.path.exists(existing) else "a folder"
         raise InvalidField(output.option, f"'{output.path}'", allowed)
     try_folder(output.option, output.path, existing)
+    _check_own(output)
+
+
+def _check_own(output: _Named) -> None:
+    """Refuse a folder with files of somebody else and no results of ours."""
+    try:
+        held = sorted(x.name for x in os.scandir(output.path) if not x.name.startswith("."))
+    except OSError:  # not there yet
+        return
+    if held and not _is_ours(output.path):
+        more = f" and {len(held) - NAMES_SHOWN} more" if len(held) > NAMES_SHOWN else ""
+        allowed = (
+            "a new or empty folder, or one with results of carosac; this one holds "
+            f"{', '.join(held[:NAMES_SHOWN])}{more}"
+        )
+        raise InvalidField(output.option, f"'{output.path}'", allowed)
+
+
+def _is_ours(folder: Path) -> bool:
+    """Return whether a folder holds a file that only a command of the toolkit writes."""
+    for pattern, text in OWN_FILES.items():
+        for path in folder.glob(pattern):
+            with contextlib.suppress(OSError), path.open("rb") as file:
+                if text.encode() in file.read(OWN_BYTES_MAX):
+                    return True
+    return False
 
 
 def same_file(one: Path, other: Path) -> bool:

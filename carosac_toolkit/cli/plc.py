@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, check_reach
+from carosac_toolkit.cli.common import CommandResult, DefaultRobotOptions, check_reach
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.live.real_time import short_pauses, take_priority
 from carosac_toolkit.plc.blocks import Injection
@@ -41,11 +41,9 @@ LATE_CYCLES_MAX = 0.1  # share above which it was no PLC
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(DefaultRobotOptions):
     """Options of ``carosac plc``."""
 
-    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")] = "carosac"
-    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     ip: str | None = None
     """Address to listen on; by default one of this machine only. One that other machines can reach
     needs --allow-others."""

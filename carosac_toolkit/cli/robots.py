@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 
 
 @dataclass(frozen=True, kw_only=True)

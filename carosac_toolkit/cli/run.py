@@ -64,7 +64,7 @@ def run(options: Options) -> CommandResult:
     estimator = build_estimator(options.estimator, robot, chosen, seed=seed)
     path = make_path(robot, options)
     guard = make_guard(robot, options, chosen["driver_settings"], float(controller.period))
-    rehearse(robot, estimator, controller, path, suite=options.suite)
+    rehearse(robot, estimator, controller, path, suite=options.sensors)
     statistics = Statistics(guard)
     with recorded(options) as recorder, _prepared(options, guard) as real_time:
         guard.journal = recorder

@@ -13,8 +13,9 @@ import numpy as np
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.files import missing_folders, remove_empty
+from carosac_toolkit.base.files import check_writable, missing_folders, remove_empty
 from carosac_toolkit.base.settings import filled
+from carosac_toolkit.cli.common import sensors_named
 from carosac_toolkit.cli.run_options import DEFAULT_TRAJECTORY, Options
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
@@ -83,7 +84,7 @@ def make_guard(
     slow = options.speed <= TENSION_CHECK_SPEED_MAX
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
-        "period": period, "suite": options.suite, "motion": options.enable or reset_only,
+        "period": period, "suite": options.sensors, "motion": options.enable or reset_only,
         "start_position": home, "home_anew": options.home_anew,
         "home_confirmed": options.home_confirmed,
         "rehearse": options.home is not None and not reset_only, "enable_at_once": not reset_only,
@@ -93,8 +94,9 @@ def make_guard(
         "first_shift_max": TENSION_SHIFT_MAX,
         **asked,
     }  # fmt: skip
-    made = filled("driver.guard", settings, wanted)
-    return kind.build(robot, made, seed=options.seed)
+    with sensors_named():
+        made = filled("driver.guard", settings, wanted)
+        return kind.build(robot, made, seed=options.seed)
 
 
 def _refuse_reserved(asked: dict[str, Any]) -> None:
@@ -145,7 +147,8 @@ def _move(
     low, high = robot.workspace_min, robot.workspace_max
     got = " ".join(f"{x:g}" for x in end) + " m"
     if not ((goal >= low) & (goal <= high)).all():
-        raise InvalidField("--to", got, f"{low.tolist()} to {high.tolist()} m, the workspace box")
+        box = " to ".join(f"({', '.join(f'{x:g}' for x in corner)})" for corner in (low, high))
+        raise InvalidField("--to", got, f"{box} m, the workspace box")
     if np.linalg.norm(goal - start) < START_TOLERANCE_M:
         raise InvalidField("--to", got, "another place than where the platform stands (--home)")
     return trajectories.minimum_snap(np.stack([start, goal]), **limits)
@@ -154,7 +157,8 @@ def _move(
 @contextlib.contextmanager
 def recorded(options: Options) -> Iterator[CrashSafeRecorder]:
     """Yield the recorder of the run; nothing is left of it where nothing was measured."""
-    path = options.recording
+    path = options.output
+    check_writable("--output", path, (".jsonl",))
     made: list[Path] = []
     if path is None:
         folder = Path("carosac-results/run")

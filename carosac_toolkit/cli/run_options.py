@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from carosac_toolkit.cli.common import CommonOptions, OutputFile
+from carosac_toolkit.cli.common import DefaultRobotOptions
 from carosac_toolkit.cli.position_option import Place
 
 DEFAULT_TRAJECTORY = "line"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(DefaultRobotOptions):
     """Options of ``carosac run``."""
 
-    robot: str = "carosac"
-    """Bundled robot or YAML file."""
     driver: str = "simulator"
     """Driver: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
     controller: str = "kinematic_solver"
     """Controller by name, or `module:Class`."""
     estimator: str = "kinematic_solver"
     """Estimator by name, or `module:Class`."""
-    suite: str = "lengths"
-    """Sensor suite of the driver."""
+    sensors: str = "lengths"
+    """Sensors of the driver, such as `lengths+imu`."""
     trajectory: str = DEFAULT_TRAJECTORY
     """Trajectory of the catalogue."""
     to: Place = None
@@ -70,5 +69,5 @@ class Options(CommonOptions):
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE,
     driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard around a driver that has none of
     its own; may be given several times."""
-    recording: OutputFile = None
+    output: Annotated[Path | None, tyro.conf.arg(metavar="FILE", aliases=["--recording"])] = None
     """File of the recording, ending in .jsonl; by default a new file in carosac-results/run."""

@@ -19,14 +19,14 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.files import check_writable
 from carosac_toolkit.cli.common import (
     CommandResult,
@@ -34,6 +34,7 @@ from carosac_toolkit.cli.common import (
     OutputFile,
     check_reach,
     period_of_rate,
+    sensors_named,
 )
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
@@ -42,7 +43,9 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
 from carosac_toolkit.loop.plugin_settings import chosen_settings
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.recordings.bundled import list_recordings
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories.catalogue import default_limits
@@ -67,7 +70,9 @@ RESERVED_DRIVER_SETTINGS = (
 class Options(CommonOptions):
     """Options of ``carosac view``."""
 
-    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT [GHOST]")]
+    what: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT [GHOST]")
+    ] = ()
     """A robot (bundled name or YAML file), a recording (bundled name, .parquet, .csv, .mat or
     .jsonl), or the folder of a study, FOLDER:NUMBER for one of its runs; a second recording or
     run is drawn as a ghost."""
@@ -79,8 +84,8 @@ class Options(CommonOptions):
     """With --live: estimator by name, or `module:Class`."""
     driver: str = "simulator"
     """With --live: `simulator`, `quasi_static`, or `module:Class` of a simulated driver."""
-    suite: str = "lengths"
-    """With --live: sensor suite of the driver."""
+    sensors: str = "lengths"
+    """With --live: sensors of the driver, such as `lengths+imu`."""
     speed: float | None = None
     """With --live: largest speed of the reference [m/s]; by default 1 m/s on the robot carosac, on
     others by their size."""
@@ -94,7 +99,8 @@ class Options(CommonOptions):
     """With --live: setting of a plug-in: driver.FIELD=VALUE, such as driver.cables=catenary,
     controller.NAME.FIELD=VALUE or estimator.NAME.FIELD=VALUE; may be given several times."""
     robot: str | None = None
-    """Robot of a recording that names none: bundled, or a YAML file."""
+    """The robot to show, instead of WHAT; or the robot of a recording that names none: bundled, or
+    a YAML file."""
     sag: float = 1.0
     """Factor by which the distance of the cables from their chords is enlarged; the page says
     so."""
@@ -118,10 +124,15 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Serve, or write, one page."""
+    if not options.what and options.robot is not None:
+        options = replace(options, what=(options.robot,))
     _check(options)
     if _is_robot(options.what[0]):
         if len(options.what) > 1:
             raise InvalidField("GHOST", repr(options.what[1]), "nothing: a robot has no ghost")
+        if options.robot not in (None, options.what[0]):
+            allowed = f"one robot; the argument is {options.what[0]!r}"
+            raise InvalidField("--robot", repr(options.robot), allowed)
         robot = load_robot(options.what[0])
         return _live(options, robot) if options.live else _statics(options, robot)
     if options.live:
@@ -131,7 +142,10 @@ def run(options: Options) -> CommandResult:
 
 def _check(options: Options) -> None:
     """Refuse invalid numbers, and combinations that make no sense."""
-    if len(options.what) not in (1, 2):
+    if not options.what:
+        allowed = "a robot, a recording or a study's folder; see 'carosac view --help'"
+        raise InvalidField("WHAT", "nothing", allowed)
+    if len(options.what) > 2:
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
     if not 1.0 <= options.sag <= SAG_FACTOR_MAX:
         raise InvalidField("--sag", str(options.sag), f"1 to {SAG_FACTOR_MAX:g}")
@@ -204,7 +218,14 @@ def _replay(options: Options) -> CommandResult:
     from carosac_toolkit.viewer.replay import Replay
     from carosac_toolkit.viewer.runs import load_runs, same_robot
 
-    runs = load_runs(options.what[0], options.robot)
+    name = options.what[0]
+    if not Path(name).suffix and not Path(name.partition(":")[0]).exists():
+        known = [*list_robots(), *list_recordings()]
+        if name not in known and "/" not in name:
+            hint = did_you_mean(name, known)
+            allowed = f"one of {known}, a robot file, a recording or a study's folder{hint}"
+            raise InvalidField("WHAT", repr(name), allowed)
+    runs = load_runs(name, options.robot)
     ghost = None
     if len(options.what) > 1:
         ghost = len(runs)
@@ -249,7 +270,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     }
     target = HandTarget(robot, robot.home_position, **limits)
     rehearsed = HandTarget(robot, robot.home_position, **limits)
-    rehearse(robot, estimator, controller, rehearsed, suite=options.suite)
+    rehearse(robot, estimator, controller, rehearsed, suite=options.sensors)
     page = PageProcess(
         PageOptions(
             robot=robot, title=f"{robot.name}: {options.controller} with {options.estimator}",
@@ -301,10 +322,11 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
             raise InvalidField(
                 "--set", f"driver.{name}={own[name]!r}", "nothing: an option of the command sets it"
             )
-    offered = {"suite": options.suite, "period": period, "real_time": True}
-    driver: SimulatedDriver = build_plugin(
-        plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
-    )
+    offered = {"suite": options.sensors, "period": period, "real_time": True}
+    with sensors_named():
+        driver: SimulatedDriver = build_plugin(
+            plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
+        )
     return driver
 
 

@@ -17,16 +17,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-import tyro
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.tables import format_table
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
+from carosac_toolkit.cli.common import CommandResult, OutputFolder, RobotOptions
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
@@ -40,11 +39,9 @@ from carosac_toolkit.workspace.tables import columns, write_table
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(RobotOptions):
     """Options of ``carosac workspace``."""
 
-    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
-    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     box: Literal["workspace", "frame"] = "workspace"
     """Box to search: the workspace box of the robot's file, or the box around its exit points."""
     lower: Place = None
@@ -52,11 +49,11 @@ class Options(CommonOptions):
     upper: Place = None
     """Upper corner of another box [m]."""
     points: int = 20000
-    """Approximate number of positions in the box."""
+    """Approximate number of positions in the box, the cells of the grid."""
     slice: tuple[str, ...] = ()
     """Planes such as x=0.4 z=2 [m]; by default three through the middle of the box."""
     slice_points: int = 2500
-    """Approximate number of positions on each plane."""
+    """Approximate number of positions on each plane, the cells of its grid."""
     model: Literal["sag", "straight", "both"] = "sag"
     """Cables that sag, straight ones, or both side by side."""
     rpy_deg: tuple[str, ...] = ()
@@ -100,7 +97,9 @@ def run(options: Options) -> CommandResult:
         regions[model] = (whole, slices)
     _print(regions, lower, upper)
     files = _write(options, folder, regions)
-    print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
+    shown = [file.name for file in files if file.suffix not in (".svg", ".pdf")]
+    others = ", pictures also as SVG and PDF" if options.pictures else ""
+    print(f"\n{len(shown)} files in {folder}: {', '.join(shown)}{others}")
     first = regions[models[0]][0]
     data = {
         "robot": robot.name,
@@ -187,6 +186,10 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
             place = float("nan")
         if axis not in tuple(GRID_AXES) or not np.isfinite(place):
             raise InvalidField("--slice", repr(text), "x=, y= or z= with a number, such as z=2")
+        low, high = lower[GRID_AXES.index(axis)], upper[GRID_AXES.index(axis)]
+        if not low <= place <= high:
+            allowed = f"{axis}={low:g} to {axis}={high:g} m, the box searched"
+            raise InvalidField("--slice", repr(text), allowed)
         planes.append(slice_grid(lower, upper, axis, place, count))
     return planes
 
@@ -276,6 +279,8 @@ def _write(
     options: Options, folder: Path, regions: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
+    from carosac_toolkit.pictures.saving import picture_files
+
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
@@ -287,7 +292,8 @@ def _write(
     for model, (whole, slices) in regions.items():
         end = f"-{model}" if len(regions) == 2 else ""
         for name, figure in _figures(options, whole, slices) if options.pictures else ():
-            save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
+            for file, content in picture_files({f"{name}{end}": figure}).items():
+                save(file, lambda path, c=content: path.write_bytes(c))
         table = columns(whole, _maps(options, whole))
         save(f"positions{end}.{options.table}", lambda path, t=table: write_table(path, t))
     return files

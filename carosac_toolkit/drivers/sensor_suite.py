@@ -184,11 +184,11 @@ class SensorSuite:
 
     def _pose(self, state: State) -> Array:
         """Return position [m] and rotation of motion capture, shape (B, 12)."""
-        import pinocchio
+        from scipy.spatial.transform import Rotation
 
         sensors = self._settings
         noise = self._draw("pose", 6)
-        turn = np.stack([pinocchio.exp3(sensors.rotation_noise * row) for row in noise[:, :3]])
+        turn = Rotation.from_rotvec(sensors.rotation_noise * noise[:, :3]).as_matrix()
         position = state.position + sensors.position_noise * noise[:, 3:]
         rotation = (turn @ state.rotation).reshape(self._size, 9)
         return np.concatenate([position, rotation], axis=1)

@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from carosac_toolkit.base.errors import (
     MissingFile,
     did_you_mean,
 )
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.interchange.bag_chunks import bound_decompression
 
 _BAG_SUFFIXES = (".bag", ".mcap", ".db3")
@@ -104,7 +104,7 @@ def open_bag(paths: Sequence[Path], *, definitions: Path | None = None) -> Itera
     Raises:
         MissingFile: There is no such file.
         InvalidFile: No bag, or a damaged one.
-        CarosacError: The package `rosbags` is not installed.
+        MissingExtra: The package `rosbags` is not installed.
     """
     _check(paths)
     bound_decompression()
@@ -130,10 +130,7 @@ def open_bag(paths: Sequence[Path], *, definitions: Path | None = None) -> Itera
 
 def _check(paths: Sequence[Path]) -> None:
     """Refuse a path that is no bag, before a library opens it."""
-    if find_spec("rosbags") is None:
-        raise CarosacError(
-            "reading bags needs the package rosbags: pip install carosac-toolkit[ros]"
-        )
+    require("reading bags", "rosbags")
     for path in paths:
         if not path.exists():
             raise MissingFile(path)

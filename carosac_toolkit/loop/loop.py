@@ -84,6 +84,7 @@ class Log:
         limited: Every limit that changed a command, with the index of its cycle.
         completed: True if the driver went on to the end.
         twist: True twist in W at the platform origin [m/s, rad/s], shape (T, B, 6), or None.
+        true_length: True unstrained length [m], shape (T, B, n), or None.
         belief_twist: Estimated twist, shape (T, B, 6); None where the estimator has none.
         belief_covariance: Of the belief, as `Belief.covariance`, shape (T, B, 12, 12), or None.
         innovations: Normalised innovations of the measurements, each of shape (T, B); None if the
@@ -104,6 +105,7 @@ class Log:
     limited: tuple[tuple[int, LimitHit], ...]
     completed: bool
     twist: Array | None = None
+    true_length: Array | None = None
     belief_twist: Array | None = None
     belief_covariance: Array | None = None
     innovations: Innovations | None = None
@@ -331,10 +333,15 @@ def _log(steps: list[Step], completed: bool) -> Log:
 def _truth(truths: list[State | None]) -> dict[str, Array | None]:
     """Return the truth over all cycles; None unless it is known in each of them."""
     known = [truth for truth in truths if truth is not None]
-    names = ("position", "rotation", "twist", "tension")
+    names = {
+        "position": "position", "rotation": "rotation", "twist": "twist", "tension": "tension",
+        "true_length": "unstrained_length",
+    }  # fmt: skip
     if len(known) < len(truths):
         return dict.fromkeys(names)
-    return {name: _stacked([getattr(truth, name) for truth in known]) for name in names}
+    return {
+        name: _stacked([getattr(truth, field) for truth in known]) for name, field in names.items()
+    }
 
 
 def _stacked(values: list[Array | None]) -> Array | None:

@@ -2,6 +2,7 @@
 
 Each is an entry point of an installed distribution, in the group ``carosac.<kind>``, or is named
 directly as ``module:Class``. Looking up reads metadata only; `load` imports the one asked for.
+Extras in brackets after an entry point are those of its distribution that the plug-in needs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.extras import (
+    MissingExtra,
+    missing_extras,
+    naming_extras,
+    require_extras,
+    with_extras,
+)
 
 Kind = Literal["controllers", "estimators", "drivers", "links", "commands", "figures"]
 
@@ -28,7 +36,7 @@ def names(kind: Kind) -> list[str]:
     return sorted(_installed(kind))
 
 
-def load(kind: Kind, name: str) -> Any:
+def load(kind: Kind, name: str, *, complete: bool = True) -> Any:
     """Import one plug-in.
 
     Args:
@@ -36,12 +44,15 @@ def load(kind: Kind, name: str) -> Any:
             ``"figures"``.
         name: A name from `names`, or ``module:Class`` for what is not installed but importable;
             modules are looked for in the working folder as well, after all other places.
+        complete: True refuses a plug-in that needs an extra which is not installed; False imports
+            it to be described.
 
     Returns:
         The object of that name: a class, or a module for most commands and figures.
 
     Raises:
         InvalidField: There is no such plug-in; the message lists those there are.
+        MissingExtra: It needs packages that are not installed.
         CarosacError: It is there but cannot be used: two distributions claim the name, another
             package hides one of ours, or its import fails.
     """
@@ -50,7 +61,7 @@ def load(kind: Kind, name: str) -> Any:
         return _resolve(kind, name, EntryPoint(name, name, _group(kind)))
     installed = _installed(kind)
     if name not in installed:
-        raise InvalidField(kind[:-1], repr(name), _allowed(name, sorted(installed)))
+        raise InvalidField(kind[:-1], repr(name), _allowed(kind, name))
     entries = installed[name]
     if len(entries) > 1:
         claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in entries))
@@ -58,7 +69,16 @@ def load(kind: Kind, name: str) -> Any:
             f"{kind[:-1]} '{name}' is claimed by several installed distributions: {claims}; "
             "uninstall one, or name yours as 'module:Class'"
         )
+    if complete:
+        extras, distribution = entries[0].extras, _owner(entries[0])
+        require_extras(_spoken(kind, name), extras, distribution)
     return _resolve(kind, name, entries[0])
+
+
+def lacking(point: EntryPoint) -> str:
+    """Return what has to be installed for a plug-in, such as ``name[extra]``; empty for nothing."""
+    missing = missing_extras(point.extras, _owner(point))
+    return with_extras(missing, _owner(point)) if missing else ""
 
 
 def name_of(plugin: str | type[Any]) -> str:
@@ -163,9 +183,21 @@ def _owner(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else "unknown distribution"
 
 
-def _allowed(name: str, installed: list[str]) -> str:
-    """Describe the allowed names."""
-    return f"one of {installed}, or 'module:Class'" + did_you_mean(name, installed)
+def _spoken(kind: Kind, name: str) -> str:
+    """Name a plug-in in a message; commands as the user writes them."""
+    return f"{kind[:-1]} '{name.replace('.', ' ') if kind == 'commands' else name}'"
+
+
+def _allowed(kind: Kind, name: str) -> str:
+    """Describe the allowed names, and what those need that cannot be used."""
+    installed = _installed(kind)
+    ready: list[str] = []
+    others: dict[str, list[str]] = {}
+    for known, points in sorted(installed.items()):
+        needed = lacking(points[0])
+        (others.setdefault(needed, []) if needed else ready).append(known)
+    more = "".join(f", with {needed} also {names}" for needed, names in others.items())
+    return f"one of {ready}{more}, or 'module:Class'" + did_you_mean(name, sorted(installed))
 
 
 def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
@@ -176,13 +208,16 @@ def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
     try:
         if package in OUR_PACKAGES:
             check_package(package)
-        target: Any = import_module(point.module)
+        with naming_extras(_spoken(kind, name)):
+            target: Any = import_module(point.module)
         for attribute in filter(None, (point.attr or "").split(".")):
             if not hasattr(target, attribute):  # imports what a package hands on lazily
                 allowed = f"a name that {point.module} defines when imported, in no 'if __name__'"
                 hint = did_you_mean(attribute, dir(target))
                 raise InvalidField(kind[:-1], repr(name), allowed + hint)
             target = getattr(target, attribute)
+    except MissingExtra:
+        raise
     except ImportError as error:
         raise CarosacError(
             f"{kind[:-1]} '{name}': cannot import {point.module}: {error}"

@@ -16,6 +16,7 @@ NOTICE_DELAY_S = 1.0  # [s] of loading before the user is told
 
 _loaded: set[tuple[str, str]] = set()
 _started: list[bool] = []
+_told: set[str] = set()
 
 
 @contextmanager
@@ -58,8 +59,8 @@ def initialise() -> None:
 def load(module: ModuleType, device: str = "cpu") -> None:
     """Compile the kernels of a module, or fetch them from Warp's cache.
 
-    The first use on a machine compiles; a line on standard error says so. Later uses take
-    milliseconds. The cache is Warp's own (``WARP_CACHE_PATH`` moves it).
+    The first use on a machine compiles; one line on standard error says so, for all modules of
+    a process. Later uses take milliseconds. The cache is Warp's own (``WARP_CACHE_PATH`` moves it).
 
     Args:
         module: A Python module that defines Warp kernels.
@@ -68,8 +69,7 @@ def load(module: ModuleType, device: str = "cpu") -> None:
     if (module.__name__, device) in _loaded:
         return
     initialise()
-    text = f"Compiling {module.__name__} for {device}, once; later runs use the cache ..."
-    notice = threading.Timer(NOTICE_DELAY_S, print, [text], {"file": sys.stderr, "flush": True})
+    notice = threading.Timer(NOTICE_DELAY_S, _tell, [device])
     notice.daemon = True
     notice.start()
     try:
@@ -78,3 +78,14 @@ def load(module: ModuleType, device: str = "cpu") -> None:
     finally:
         notice.cancel()
     _loaded.add((module.__name__, device))
+
+
+def _tell(device: str) -> None:
+    """Tell the user, once, why nothing seems to happen."""
+    if device not in _told:
+        _told.add(device)
+        print(
+            f"Compiling kernels of statics, dynamics and simulator for {device}, once on this "
+            "machine: about half a minute ...",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip

@@ -1,243 +1,306 @@
-"""Pictures of a study: errors over cases, time, space and regions, one colour per group."""
+"""Pictures of a study: errors over cases, time, space and regions, one look per group."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
-    MEASURED_COLOR,
-    REST_COLOR,
-    SERIES_COLORS,
     STANDARD_VIEWS,
-    VIOLIN_VALUES_MIN,
     Path,
-    draw_bell,
+    draw_ecdf,
     draw_in_space,
     draw_violin,
+    enlarged_text,
+    enlargement,
+    finish_ecdf,
+    limits_of,
+    line_style,
     new_figure,
+    number_below,
     put_legend,
-    put_patches,
+    put_marks,
+    rms,
+    set_log,
+    set_title,
+    spans_decades,
 )
 from carosac_toolkit.pictures.estimates import draw_estimates
-from carosac_toolkit.studies.compare.example_cases import MM_PER_M, Example, examples_of
-from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults, tracked
-from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.pictures.groups import (
+    Group,
+    estimator_groups,
+    groups_of,
+    left_out,
+    looks_of,
+    robots_title,
+)
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    MEASURED_COLOR,
+    REST_COLOR,
+    SINGLE_COLUMN_INCH,
+    styled,
+)
+from carosac_toolkit.pictures.units import unit_of
+from carosac_toolkit.studies.compare.example_cases import Example, curves_of, examples_of
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults, pooled, steps, tracked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LABELLED_GROUPS_MAX = 4  # groups up to which bars have room for their numbers
-GROUPS_MAX = len(SERIES_COLORS)  # groups that can be told apart
 TIME_PLOT_TRAJECTORIES = (
     "waypoints",
     "minimum_snap",
 )  # what is shown over time, first choice first
 PATH_PLOT_TRAJECTORIES = ("spiral", "minimum_snap")
+REGIONS = ("centre", "boundary")
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curve:
+    """One case of a group, to be drawn beside those of the others on the same plant and path."""
+
+    group: Group
+    example: Example
+
+    @property
+    def label(self) -> str:
+        """Label of the group, marked if this case diverged."""
+        return self.group.label + (" (diverged)" if self.example.diverged else "")
+
+
+@styled
 def draw_violins(results: StudyResults) -> Figure:
-    """Draw the distribution of the absolute tracking error over the samples of example cases."""
-    figure = new_figure(12.0, 4.8)
-    groups = _groups(results)
+    """Draw the distribution of the signed tracking error over the samples of example cases."""
+    groups = groups_of(results)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.0)
     panels = figure.subplots(1, 4)
-    shown: set[str] = set()
-    for place, (rows, color) in enumerate(groups.values()):
-        examples = examples_of(rows)
-        shown |= {example.trajectory for example in examples}
-        errors = [example.error for example in examples]
-        for column, axes in enumerate(panels if errors else ()):
-            draw_violin(axes, np.concatenate(errors)[:, column], place, color)
-    for name, axes in zip(AXIS_NAMES, panels, strict=True):
-        top = axes.get_ylim()[1]
-        axes.set(xticks=[], xlim=(-0.6, len(groups) - 0.2), ylim=(-0.04 * top, top))
-        axes.set_title(name, fontsize=10)
+    examples = {group.number: examples_of(group.rows) for group in groups}
+    errors = {
+        k: np.concatenate([one.error for one in some]) for k, some in examples.items() if some
+    }
+    unit, factor = unit_of(errors.values())
+    for column, (name, axes) in enumerate(zip(AXIS_NAMES, panels, strict=True)):
+        numbers: dict[float, float | None] = {}
+        for group in groups:
+            if group.number in errors:
+                values = factor * errors[group.number][:, column]
+                draw_violin(axes, values, group.number, group.look)
+                numbers[group.number] = rms(values)
+        axes.set_title(name)
+        axes.set_xlim(-0.6, len(groups) - 0.4)
+        number_below(axes, numbers, f"RMSE [{unit}]")
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
         axes.grid(axis="y", alpha=0.25)
-    panels[0].set_ylabel("absolute tracking error [mm]")
+    panels[0].set_ylabel(f"tracking error [{unit}]")
+    shown = {one.trajectory for some in examples.values() for one in some}
     count = f"{len(shown)} trajector" + ("ies" if len(shown) != 1 else "y")
-    figure.suptitle(
-        f"Tracking error of all samples of {count}, first seed; bar: RMSE; dot: median"
-        + _left_out(results)
+    set_title(
+        figure,
+        f"{robots_title(results)}: tracking error of all samples of {count}, first seed; "
+        "marker: mean",
+        left_out(results),
     )
-    put_patches(figure, _colors(groups))
+    put_marks(figure, looks_of(groups))
     return figure
 
 
-def draw_gaussians(results: StudyResults) -> Figure:
-    """Draw the scatter of the RMSE over cases: a normal distribution over the cases themselves."""
-    figure = new_figure(12.0, 7.0)
-    groups = _groups(results)
-    panels = figure.subplots(2, 2).ravel()
-    for axes, name in zip(panels, AXIS_NAMES, strict=True):
-        for place, (rows, color) in enumerate(groups.values()):
-            column = [row[f"tracking_rmse_{name}_m"] for row in tracked(rows)]
-            _bell(axes, MM_PER_M * np.array(column, dtype=float), place, color)
-        axes.set_title(name, fontsize=10)
-        end = axes.get_xlim()[1]
-        axes.set(xlabel="RMSE of a case [mm]", yticks=[], xlim=(-0.02 * end, 1.1 * end))
-        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
-        axes.grid(axis="x", alpha=0.25)
-    figure.suptitle(
-        "RMSE per case; ticks: the cases; number: mean and standard deviation; bell, from "
-        f"{VIOLIN_VALUES_MIN} cases on: their normal distribution, scaled to one height"
-        + _left_out(results)
+@styled
+def draw_distribution(results: StudyResults) -> Figure:
+    """Draw the distribution of the RMSE over all cases: which share of them has at most that."""
+    groups = groups_of(results)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.2)
+    panels = figure.subplots(2, 2, sharey=True)
+    columns = {name: [_rmse(group, name) for group in groups] for name in AXIS_NAMES}
+    unit, factor = unit_of(values for some in columns.values() for values in some)
+    for axes, (name, some) in zip(panels.ravel(), columns.items(), strict=True):
+        for group, values in zip(groups, some, strict=True):
+            draw_ecdf(axes, factor * values, len(group.rows), group.look, group.legend)
+        axes.set_title(name)
+    finish_ecdf(panels.ravel(), f"RMSE of a case [{unit}]")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("share of cases [-]")
+    set_title(
+        figure,
+        f"{robots_title(results)}: share of cases with at most this tracking RMSE",
+        left_out(results),
     )
-    put_patches(figure, _colors(groups))
+    put_legend(figure, panels[0, 0])
     return figure
 
 
+def _rmse(group: Group, axis: str) -> Array:
+    """Return the tracking RMSE of the cases of a group [m], shape (K,)."""
+    column = [row[f"tracking_rmse_{axis}_m"] for row in tracked(group.rows)]
+    return np.array(column, dtype=float)
+
+
+@styled
 def draw_time(results: StudyResults) -> Figure:
-    """Draw the absolute tracking error of one example case per axis, rests shaded."""
-    figure = new_figure(12.0, 8.0)
-    examples = _same_example(results, TIME_PLOT_TRAJECTORIES)
+    """Draw the signed tracking error of one example case per axis, rests shaded.
+
+    Panels are scaled to the cases that did not diverge; a curve that diverged ends in a cross at
+    the edge.
+    """
+    figure = new_figure(DOUBLE_COLUMN_INCH, 5.2)
+    curves = _same_example(results, TIME_PLOT_TRAJECTORIES)
+    scaled = [one for one in curves if not one.example.diverged] or curves
+    unit, factor = unit_of(one.example.error for one in scaled)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, axes in enumerate(panels):
-        for label, (example, color) in examples.items():
-            axes.plot(example.time, example.error[:, axis], color=color, lw=1.2, label=label)
-        rests = next(iter(examples.values()))[0].rests() if examples else []
-        for k, (first, end) in enumerate(rests):
-            shade = axes.axvspan(first, end, color=REST_COLOR, lw=0, zorder=0)
+        ends = _ends([factor * one.example.error[:, axis] for one in scaled])
+        axes.set_ylim(*ends)
+        for one in curves:
+            values = factor * one.example.error[:, axis]
+            look = line_style(one.group.look, len(values), one.group.number)
+            axes.plot(one.example.time, values, label=one.label, **look)
+            if one.example.diverged:
+                _cross(axes, one.example.time, values, ends, one.group.look.color)
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
+        for k, (first, end) in enumerate(curves[0].example.rests() if curves else []):
+            shade = axes.axvspan(first, end, color=REST_COLOR, lw=0, zorder=-1)
             if axis == k == 0:
                 shade.set_label("reference at rest")
-        axes.set(ylabel=f"|error| in {AXIS_NAMES[axis]} [mm]", ylim=(0.0, None))
+        axes.set_ylabel(f"error in {AXIS_NAMES[axis]} [{unit}]")
         axes.margins(x=0.005)
         axes.grid(alpha=0.25)
     figure.align_ylabels(panels)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle(f"Tracking error over time{_title_of(examples)}")
+    set_title(figure, f"{robots_title(results)}: tracking error over time{_case_of(curves)}")
     put_legend(figure, panels[0])
     return figure
 
 
+def _ends(curves: Sequence[Array]) -> tuple[float, float]:
+    """Return the ends of an axis with zero and some curves on it, with some room."""
+    points = np.concatenate([*curves, np.zeros(1)])
+    low, high = float(points.min()), float(points.max())
+    room = 0.08 * max(high - low, 1e-9)
+    return low - room, high + room
+
+
+def _cross(axes: Any, time: Array, values: Array, ends: tuple[float, float], color: str) -> None:
+    """Mark where a curve leaves its panel, or else its end."""
+    outside = np.flatnonzero((values < ends[0]) | (values > ends[1]))
+    k = int(outside[0]) if len(outside) else len(values) - 1
+    place = float(np.clip(values[k], *ends))
+    axes.plot(time[k], place, "x", color=color, ms=7, mew=1.8, clip_on=False, zorder=5)
+
+
+@styled
 def draw_paths(results: StudyResults) -> Figure:
-    """Draw the path of one example case in space, from above and from the side."""
-    figure = new_figure(12.0, 7.2)
-    examples = _same_example(results, PATH_PLOT_TRAJECTORIES)
+    """Draw the path of one example case in space and in two planes, its error enlarged."""
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    curves = _same_example(results, PATH_PLOT_TRAJECTORIES)
+    scaled = [one.example for one in curves if not one.example.diverged]
+    reference = curves[0].example.reference if curves else np.zeros((1, 3))
+    factor = enlargement(reference, [one.error[:, :3] for one in scaled])
     paths: dict[str, Path] = {}
-    for label, (example, color) in examples.items():
-        paths[label] = (example.position, {"color": color, "lw": 1.5}, {"color": color, "lw": 1.2})
-    if examples:
-        dashed = {"color": MEASURED_COLOR, "ls": "--"}
-        reference = next(iter(examples.values()))[0].reference
-        paths["reference"] = (reference, {"lw": 1.1, **dashed}, {"lw": 0.9, **dashed})
-    draw_in_space(figure, paths, STANDARD_VIEWS)
-    figure.suptitle(f"Path of the platform origin{_title_of(examples)}")
-    return figure
-
-
-def draw_bars(results: StudyResults) -> Figure:
-    """Draw the regions of large tracking error, and the estimation error."""
-    figure = new_figure(12.0, 4.6)
-    groups = _groups(results)
-    lines = dict(zip(results.labels, results.summary, strict=True))
-    where, estimate = figure.subplots(1, 2, width_ratios=(1.0, 1.5))
-    for place, (label, (_, color)) in enumerate(groups.items()):
-        line = lines[label]
-        regions = [line["tracking_centre_m"], line["tracking_boundary_m"]]
-        errors = [line["estimation_rmse_m"][name] for name in AXIS_NAMES]
-        for axes, values in ((where, regions), (estimate, errors)):
-            _bars(axes, values, place, len(groups), color)
-    titles = ("tracking error by region", f"estimation error{_of_estimator(results)}")
-    columns = (("centre", "boundary"), AXIS_NAMES)
-    kinds = ("tracking", "estimation")
-    for axes, title, names, kind in zip((where, estimate), titles, columns, kinds, strict=True):
-        axes.set_xticks(range(len(names)), names)
-        axes.set(ylabel=f"RMSE of the {kind} error [mm]", axisbelow=True)
-        axes.set_title(title, fontsize=10)
-        axes.grid(axis="y", alpha=0.25)
-        axes.margins(y=0.12)
-    figure.suptitle(
-        "Errors over all cases; centre: the middle half of each side of the workspace box"
-        + _left_out(results)
+    for one in curves:
+        drawn = _enlarged(one.example, factor)
+        paths[one.label] = (drawn, line_style(one.group.look, len(drawn), one.group.number))
+    limits = None
+    if curves:
+        paths["reference"] = (reference, {"color": MEASURED_COLOR, "lw": 0.8, "ls": "--"})
+        limits = limits_of([reference, *(_enlarged(one, factor) for one in scaled)])
+    draw_in_space(figure, paths, STANDARD_VIEWS, limits)
+    set_title(
+        figure,
+        f"{robots_title(results)}: path of the platform origin{_case_of(curves)}, "
+        + enlarged_text(factor),
     )
-    put_patches(figure, _colors(groups))
     return figure
 
 
-def draw_beliefs(results: StudyResults) -> Figure:
-    """Draw estimation errors, and the consistency of the estimators' covariances."""
-    return draw_estimates(_groups(results), _of_estimator(results) + _left_out(results))
+def _enlarged(example: Example, factor: int) -> Array:
+    """Return the path of an example with its error enlarged [m], shape (S, 3)."""
+    return example.reference + factor * (example.position - example.reference)
+
+
+@styled
+def draw_regions(results: StudyResults) -> Figure:
+    """Draw the tracking error in the centre of the workspace box and near its boundary."""
+    groups = groups_of(results)
+    figure = new_figure(SINGLE_COLUMN_INCH, 2.6 + 0.15 * len(groups))
+    axes = figure.subplots()
+    values = {group.number: _by_region(group) for group in groups}
+    unit, factor = unit_of(values.values())
+    for group in groups:
+        shift = 0.7 * ((group.number + 0.5) / len(groups) - 0.5)
+        look = group.look
+        axes.plot(
+            np.arange(len(REGIONS)) + shift, factor * values[group.number], look.marker,
+            color=look.color, ms=6, label=group.legend,
+        )  # fmt: skip
+    if spans_decades(np.concatenate([*values.values(), np.zeros(0)])):
+        axes.margins(y=0.1)
+        set_log(axes, "y")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_xticks(range(len(REGIONS)), REGIONS)
+    axes.set(xlim=(-0.5, len(REGIONS) - 0.5), ylabel=f"tracking RMSE [{unit}]", axisbelow=True)
+    axes.axvline(0.5, color=MEASURED_COLOR, lw=0.4)
+    axes.grid(axis="y", alpha=0.25)
+    set_title(
+        figure,
+        f"{robots_title(results)}: tracking error by region of the workspace box",
+        left_out(results),
+    )
+    put_legend(figure, axes)
+    return figure
+
+
+def _by_region(group: Group) -> Array:
+    """Return the pooled tracking RMSE of a group in each region [m], NaN where it never was."""
+    rows = tracked(group.rows)
+    inside = [float(row.get("centre_steps") or 0.0) for row in rows]
+    outside = [count - k for count, k in zip(steps(rows), inside, strict=True)]
+    errors = (
+        pooled(rows, "tracking_centre_m", inside),
+        pooled(rows, "tracking_boundary_m", outside),
+    )
+    return np.array([np.nan if error is None else error for error in errors])
+
+
+@styled
+def draw_estimation(results: StudyResults) -> Figure:
+    """Draw estimation errors by estimator, and the consistency of the covariances."""
+    return draw_estimates(estimator_groups(results), robots_title(results))
 
 
 COMPARISON_PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
     "paths": draw_paths,
     "error_over_time": draw_time,
     "error_violins": draw_violins,
-    "rmse_gaussians": draw_gaussians,
-    "regions_and_estimates": draw_bars,
-    "estimation": draw_beliefs,
+    "rmse_distribution": draw_distribution,
+    "regions": draw_regions,
+    "estimation": draw_estimation,
 }
 
 
-def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
-    """Return rows and colour of the first groups, by label."""
-    pairs = zip(
-        results.labels[:GROUPS_MAX], results.groups[:GROUPS_MAX], SERIES_COLORS, strict=False
-    )
-    return {label: (rows, color) for label, rows, color in pairs}
-
-
-def _of_estimator(results: StudyResults) -> str:
-    """Name the estimator if all rows share it; rows then differ in something else."""
-    names = {str(line["estimator"]) for line in results.summary}
-    return f" (of the estimator {names.pop()})" if len(names) == 1 else ""
-
-
-def _left_out(results: StudyResults) -> str:
-    """Note that some groups are not shown."""
-    count = len(results.labels)
-    return f" (the first {GROUPS_MAX} of {count} rows of the table)" if count > GROUPS_MAX else ""
-
-
-def _colors(groups: Mapping[str, tuple[list[Row], str]]) -> dict[str, str]:
-    return {label: color for label, (_, color) in groups.items()}
-
-
-def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, tuple[Example, str]]:
-    """Return one case of every group on the same plant and path, by label, with its colour."""
-    groups = _groups(results)
+def _same_example(results: StudyResults, wanted: Sequence[str]) -> list[Curve]:
+    """Return one case of every group on the same plant and path."""
     first = results.summary[0]
-    block = {
-        label: ({e.trajectory: e for e in examples_of(rows)}, color)
-        for label, (rows, color) in groups.items()
-        if (rows[0]["robot"], rows[0]["perturbation"]) == (first["robot"], first["perturbation"])
-    }
-    have = dict.fromkeys(name for by_trajectory, _ in block.values() for name in by_trajectory)
+    block = [
+        (group, {example.trajectory: example for example in curves_of(group.rows)})
+        for group in groups_of(results)
+        if all(group.rows[0][name] == first[name] for name in ("robot", "perturbation"))
+    ]
+    have = dict.fromkeys(name for _, by_trajectory in block for name in by_trajectory)
     name = next((name for name in (*wanted, *have) if name in have), None)
-    return {
-        label: (by_trajectory[name], color)
-        for label, (by_trajectory, color) in block.items()
+    return [
+        Curve(group=group, example=by_trajectory[name])
+        for group, by_trajectory in block
         if name is not None and name in by_trajectory
-    }
+    ]
 
 
-def _title_of(examples: Mapping[str, tuple[Example, str]]) -> str:
-    """Return the title of an example."""
-    titles = [example.title for example, _ in examples.values()]
-    return f": {titles[0]}" if titles else ": no case to show"
-
-
-def _bell(axes: Any, values: Array, place: int, color: str) -> None:
-    """Draw a group's values below zero, and their normal distribution above."""
-    if len(values) == 0:
-        return
-    low = -0.11 * (place + 1)
-    draw_bell(axes, values, low, color)
-    axes.set_ylim(bottom=min(low - 0.09, axes.get_ylim()[0]), top=1.1)
-
-
-def _bars(axes: Any, values: list[float | None], place: int, count: int, color: str) -> None:
-    """Draw one group's bars, with their numbers."""
-    width = 0.8 / count
-    for position, value in enumerate(values):
-        if value is None:
-            continue
-        where = position + (place - (count - 1) / 2) * width
-        axes.bar(where, MM_PER_M * value, 0.92 * width, color=color, alpha=0.75)
-        if count > LABELLED_GROUPS_MAX:
-            continue
-        axes.annotate(f"{MM_PER_M * value:.1f}", (where, MM_PER_M * value), xytext=(0, 2),
-                      fontsize=8, textcoords="offset points", ha="center")  # fmt: skip
+def _case_of(curves: Sequence[Curve]) -> str:
+    """Return path and seed of an example, for its title."""
+    if not curves:
+        return ": no case to show"
+    return f" ({curves[0].example.trajectory}, seed {curves[0].example.seed})"

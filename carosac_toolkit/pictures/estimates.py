@@ -9,12 +9,17 @@ import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, band
 from carosac_toolkit.pictures.drawing import (
-    MEASURED_COLOR,
-    REST_COLOR,
     draw_violin,
     new_figure,
-    put_patches,
+    number_below,
+    put_marks,
+    rms,
+    set_log,
+    set_title,
 )
+from carosac_toolkit.pictures.groups import Group, looks_of
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, REST_COLOR
+from carosac_toolkit.pictures.units import unit_of
 from carosac_toolkit.studies.compare.example_cases import estimates_of
 from carosac_toolkit.studies.compare.results import AXIS_NAMES, scored
 from carosac_toolkit.studies.run.rows import Row
@@ -22,58 +27,74 @@ from carosac_toolkit.studies.run.rows import Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Groups = Mapping[str, tuple[Sequence[Row], str]]
 
-
-def draw_estimates(groups: Groups, note: str = "") -> Figure:
-    """Draw the absolute estimation error over the samples of example cases, and all cases' NEES.
+def draw_estimates(groups: Sequence[Group], robots: str) -> Figure:
+    """Draw the signed estimation error over the samples of example cases, and all cases' NEES.
 
     Args:
-        groups: Rows and colour by label.
-        note: Added to the title.
+        groups: One per estimator.
+        robots: Names of the robots, for the title.
     """
-    figure = new_figure(12.0, 4.8)
-    squares = {label: _squares(rows) for label, (rows, _) in groups.items()}
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.0)
+    squares = {group.number: _squares(group.rows) for group in groups}
     known = any(squares.values())
     panels = figure.subplots(1, 5 if known else 4)
-    for place, (rows, color) in enumerate(groups.values()):
-        examples = [example.estimation_error for example in estimates_of(rows)]
-        for column, axes in enumerate(panels[:4] if examples else ()):
-            draw_violin(axes, np.concatenate(examples)[:, column], place, color)
-    for name, axes in zip(AXIS_NAMES, panels[:4], strict=True):
-        axes.set_title(name, fontsize=10)
-        axes.set_ylim(-0.04 * axes.get_ylim()[1], axes.get_ylim()[1])
-    panels[0].set_ylabel("absolute estimation error [mm]")
+    examples = {group.number: estimates_of(group.rows) for group in groups}
+    errors = {
+        k: np.concatenate([one.estimation_error for one in some])
+        for k, some in examples.items()
+        if some
+    }
+    unit, factor = unit_of(errors.values())
+    for column, (name, axes) in enumerate(zip(AXIS_NAMES, panels[:4], strict=True)):
+        numbers: dict[float, float | None] = {}
+        for group in groups:
+            if group.number in errors:
+                values = factor * errors[group.number][:, column]
+                draw_violin(axes, values, group.number, group.look)
+                numbers[group.number] = rms(values)
+        axes.set_title(name)
+        number_below(axes, numbers, f"RMSE [{unit}]")
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
+    panels[0].set_ylabel(f"estimation error [{unit}]")
     if known:
         _draw_squares(panels[4], groups, squares)
     for axes in panels:
-        axes.set(xticks=[], xlim=(-0.6, len(groups) - 0.2), axisbelow=True)
+        axes.set(xlim=(-0.6, len(groups) - 0.4), axisbelow=True)
         axes.grid(axis="y", alpha=0.25)
-    title = "Estimation error of all samples, first seed; bar: RMSE; dot: median"
-    more = "; NEES of all cases: grey is where 95 % of their means are" if known else ""
-    figure.suptitle(title + more + note)
-    put_patches(figure, {label: color for label, (_, color) in groups.items()})
+    controllers = len({row["controller"] for group in groups for row in group.rows})
+    under = f", under {controllers} controllers" if controllers > 1 else ""
+    set_title(
+        figure,
+        f"{robots}: estimation error of all samples, first seed{under}; marker: mean",
+        "NEES of all cases; grey: where 95 % of the means of a consistent estimator are"
+        if known
+        else "",
+    )
+    put_marks(figure, looks_of(groups))
     return figure
 
 
-def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, list[float]]]) -> None:
-    """Draw the NEES of each case as a dot, its mean as a bar, and the band of the mean."""
-    for place, (label, (_, color)) in enumerate(groups.items()):
-        by_seed = squares[label]
+def _draw_squares(
+    axes: Any, groups: Sequence[Group], squares: Mapping[int, dict[int, list[float]]]
+) -> None:
+    """Draw the NEES of each case as a dot, its mean as a marker, and the band of the mean."""
+    numbers: dict[float, float | None] = {}
+    for group in groups:
+        by_seed, place, look = squares[group.number], group.number, group.look
         if not by_seed:
             continue
         low, high = band(POSE_SIZE, len(by_seed))
         axes.fill_between([place - 0.4, place + 0.4], low, high, color=REST_COLOR, lw=0, zorder=0)
         values = np.concatenate(list(by_seed.values()))
-        axes.plot(np.full(len(values), place), values, ".", color=color, ms=5, alpha=0.5)
-        mean = float(values.mean())
-        axes.hlines(mean, place - 0.3, place + 0.3, color=color, lw=2.0)
-        axes.annotate(f"{mean:.2g}", (place + 0.3, mean), xytext=(2, 0), fontsize=8,
-                      textcoords="offset points", va="center")  # fmt: skip
+        axes.plot(np.full(len(values), place), values, ".", color=look.color, ms=4, alpha=0.5)
+        numbers[place] = float(values.mean())
+        axes.plot(place, values.mean(), look.marker, color=look.color, ms=4.5, mec="white", mew=0.6)
     axes.axhline(1.0, color=MEASURED_COLOR, lw=0.8, ls="--")
-    axes.set(yscale="log", ylabel="over its degrees of freedom [-]")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_title("NEES of the pose", fontsize=10)
+    set_log(axes, "y")
+    axes.set_ylabel("NEES / degrees of freedom [-]")
+    axes.set_title("NEES of the pose")
+    number_below(axes, numbers, "mean [-]")
 
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:

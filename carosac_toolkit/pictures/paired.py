@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.tables import counted
-from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_figure, put_legend
+from carosac_toolkit.pictures.drawing import new_figure, put_points, set_log, set_title
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    MEASURED_COLOR,
+    SINGLE_COLUMN_INCH,
+    Series,
+    series,
+    styled,
+)
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
 from carosac_toolkit.studies.compare.pairs import Pair
 from carosac_toolkit.studies.compare.paper_tables import QUANTITY_TITLES, differing
@@ -15,8 +23,8 @@ from carosac_toolkit.studies.compare.terminal_table import short_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COMPARISON_HEIGHT_INCH = 0.3  # [inch] of height of a comparison
-HEADER_HEIGHT_INCH = 1.6  # [inch] for title, axis and legend
+COMPARISON_HEIGHT_INCH = 0.22  # [inch] of height of a comparison
+HEADER_HEIGHT_INCH = 1.5  # [inch] for title, axis and legend
 
 
 def comparable(blocks: Sequence[PairedBlock]) -> bool:
@@ -24,7 +32,8 @@ def comparable(blocks: Sequence[PairedBlock]) -> bool:
     return any(_rows(block) for block in blocks)
 
 
-def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
+@styled
+def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figure:
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
     Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
@@ -32,59 +41,58 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
 
     Args:
         blocks: Blocks of a study; those without a ratio are left out.
+        names: Names of the robots, by their names in the blocks.
     """
     shown = [block for block in blocks if _rows(block)]
     most = max(len(_rows(block)) for block in shown)
+    columns = min(2, len(shown))
+    lines = -(-len(shown) // columns)
     figure = new_figure(
-        6.0 * len(shown) + 1.0, HEADER_HEIGHT_INCH + COMPARISON_HEIGHT_INCH * (most + 1)
+        DOUBLE_COLUMN_INCH if columns == 2 else SINGLE_COLUMN_INCH,
+        HEADER_HEIGHT_INCH + lines * (0.5 * (lines > 1) + COMPARISON_HEIGHT_INCH * (most + 1)),
     )
-    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
     labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
-    colors = {label: SERIES_COLORS[k % len(SERIES_COLORS)] for k, label in enumerate(labels)}
-    for axes, block in zip(panels, shown, strict=True):
-        _draw_block(axes, block, colors)
-    figure.suptitle(
-        "Typical error over that of the baseline on the same draws, 95 % intervals;\n"
-        f"full dots: Holm-corrected p is at most {SIGNIFICANCE_LEVEL:g}; on the right: cases won",
-        fontsize=11,
+    looks = {label: series(k) for k, label in enumerate(labels)}
+    for axes, block in zip(panels, shown, strict=False):
+        _draw_block(axes, block, looks, names.get(block.robot, short_name(block.robot)))
+    for axes in panels[len(shown) :]:
+        axes.remove()
+    set_title(
+        figure,
+        "Error over the baseline's, 95 % interval;",
+        f"full: p ≤ {SIGNIFICANCE_LEVEL:g} (Holm); right: cases won",
     )
-    put_legend(figure, panels[0])
+    drawn = dict.fromkeys(label for block in shown for _, label, _ in _rows(block))
+    put_points(figure, {label: looks[label] for label in drawn})
     return figure
 
 
-def _draw_block(axes: Any, block: PairedBlock, colors: dict[str, str]) -> None:
+def _draw_block(axes: Any, block: PairedBlock, looks: Mapping[str, Series], robot: str) -> None:
     """Draw all comparisons of a block, one below the other."""
     rows = _rows(block)
     ticks: dict[str, list[int]] = {}
-    known: set[str] = set()
     for place, (name, label, pair) in enumerate(rows):
         assert pair.ratio is not None
-        one, color = pair.ratio, colors[label]
+        one, color, marker = pair.ratio, looks[label].color, looks[label].marker
         if one.low is not None and one.high is not None:
-            axes.plot([one.low, one.high], [place, place], color=color, lw=2.0)
+            axes.plot([one.low, one.high], [place, place], color=color, lw=1.6)
         sure = pair.p_holm is not None and pair.p_holm <= SIGNIFICANCE_LEVEL
-        axes.plot(
-            one.value, place, "o", color=color, mfc=color if sure else "white", ms=6,
-            label=None if label in known else label,
-        )  # fmt: skip
-        known.add(label)
+        axes.plot(one.value, place, marker, color=color, mfc=color if sure else "white", ms=5)
         axes.annotate(
             f"{pair.won}/{pair.cases}", (1.0, place), xycoords=axes.get_yaxis_transform(),
-            xytext=(4, 0), textcoords="offset points", va="center", fontsize=8,
+            xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,
         )  # fmt: skip
         ticks.setdefault(QUANTITY_TITLES[name], []).append(place)
     axes.axvline(1.0, color=MEASURED_COLOR, lw=0.9)
-    axes.set(xscale="log", xlabel=f"ratio to {block.baseline} [-]", ylim=(len(rows) - 0.4, -0.6))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter("{x:g}")
-    axes.tick_params(axis="x", which="both", labelsize=8)
+    axes.set(xlabel=f"ratio to {block.baseline} [-]", ylim=(len(rows) - 0.4, -0.6))
+    set_log(axes, "x")
     axes.set_yticks([sum(p) / len(p) for p in ticks.values()], list(ticks))
     for places in list(ticks.values())[1:]:
         axes.axhline(places[0] - 0.5, color=MEASURED_COLOR, lw=0.3)
     axes.grid(axis="x", which="both", alpha=0.25)
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
-    title = f"{short_name(block.robot)}, {draws}"
-    axes.set_title(title, fontsize=10)
+    axes.set_title(f"{robot}, {draws}")
 
 
 def _rows(block: PairedBlock) -> list[tuple[str, str, Pair]]:

@@ -6,16 +6,25 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.comparison import draw_gaussians, draw_time
-from carosac_toolkit.pictures.drawing import SERIES_COLORS, draw_violin, new_figure, put_patches
+from carosac_toolkit.pictures.comparison import draw_time
+from carosac_toolkit.pictures.drawing import (
+    VIOLIN_VALUES_MIN,
+    draw_violin,
+    new_figure,
+    put_marks,
+    set_title,
+)
+from carosac_toolkit.pictures.groups import Group, groups_of, looks_of, robots_title
 from carosac_toolkit.pictures.paper_figure import Drawn, FigureSource, PaperFigure, of_kind
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, Series, styled
+from carosac_toolkit.pictures.units import unit_of
 from carosac_toolkit.pictures.validation import draw_length_errors, draw_paths, draw_violins
-from carosac_toolkit.studies.compare.results import StudyResults, scored, tracked
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults, scored, tracked
 from carosac_toolkit.studies.run.folder import read_rows
 from carosac_toolkit.studies.run.run_case import plugin_name
 from carosac_toolkit.validation.result import ValidationResult
@@ -24,15 +33,15 @@ from carosac_toolkit.validation.saved import read_samples
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MM_PER_M = 1e3
 LEARNED, SOLVER = "td3", "kinematic_solver"  # whose scatter is compared
 VALIDATE_COMMAND = "carosac validate RECORDING --models simulator kinematic_solver --output DIR"
 COMPARE_COMMAND = "carosac compare --output DIR"
 DRIVE_COMMAND = (
     "carosac compare --controllers kinematic_solver td3 --estimators dynamic_estimator "
-    "--suites lengths+imu --trajectories minimum_snap --speed 2.08 --acceleration 2 --output DIR"
+    "--sensors lengths+imu --trajectories minimum_snap --speed 2.08 --acceleration 2 --output DIR"
 )
-GROUPS_MAX = len(SERIES_COLORS)
+BELL_LINE_RATIO = 0.11  # of the height of a bell: between the ticks of two groups below it
+BELL_LINE_INCH = 0.14  # [inch] between the same
 LENGTH_AXIS_PERCENTILE = 99.0  # percent of the values that the axis of lengths shows
 
 
@@ -44,48 +53,103 @@ def studies_of(sources: Sequence[FigureSource]) -> Iterator[tuple[Path, StudyRes
             yield folder, StudyResults(rows=rows, folder=folder)
 
 
+@styled
 def draw_commanded(results: StudyResults) -> Figure:
     """Draw the difference of unstrained from commanded lengths: per cable, and all together."""
-    errors = length_errors(results)
-    colors = dict(zip(errors, SERIES_COLORS, strict=False))
-    figure = new_figure(12.0, 4.8)
+    kept = length_errors(results)
+    unit, factor = unit_of(errors for _, errors in kept)
+    errors = [factor * values for _, values in kept]
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.2)
     each, everything = figure.subplots(1, 2, width_ratios=(1.6, 1.0))
-    cables = max(values.shape[1] for values in errors.values())
-    end = max(
-        float(np.percentile(np.abs(values), LENGTH_AXIS_PERCENTILE)) for values in errors.values()
-    )
+    cables = max(values.shape[1] for values in errors)
+    end = max(float(np.percentile(np.abs(values), LENGTH_AXIS_PERCENTILE)) for values in errors)
     bins = np.linspace(-end, end, 61)
-    width = 0.8 / len(errors)
-    for k, (label, values) in enumerate(errors.items()):
+    width = 0.8 / len(kept)
+    for k, ((group, _), values) in enumerate(zip(kept, errors, strict=True)):
+        look = group.look
         for cable, column in enumerate(values.T):
             place = cable + (k - (len(errors) - 1) / 2) * width
-            draw_violin(each, column, place, colors[label], width=0.9 * width, signed=True)
-        flat = values.ravel()
-        everything.hist(flat, bins=bins, histtype="step", density=True, color=colors[label], lw=1.5)
+            draw_violin(each, column, place, look, width=0.9 * width)
+        everything.hist(
+            values.ravel(), bins=bins, histtype="step", density=True, color=look.color,
+            ls=look.line, lw=1.2,
+        )  # fmt: skip
     each.set_xticks(range(cables), [f"cable {k + 1}" for k in range(cables)])
-    each.set_ylabel("measured minus commanded length [mm]")
-    each.set_title("per cable; dot: mean", fontsize=10)
-    everything.set(xlabel="measured minus commanded length [mm]", ylabel="density [1/mm]")
-    everything.set_title(f"all cables; drawn where {LENGTH_AXIS_PERCENTILE:g} % are", fontsize=10)
+    each.set_ylabel(f"measured minus commanded length [{unit}]")
+    each.set_title("per cable; marker: mean")
+    everything.set(xlabel=f"measured minus commanded length [{unit}]", ylabel=f"density [1/{unit}]")
+    everything.set_title(f"all cables; the middle {LENGTH_AXIS_PERCENTILE:g} %")
     for axes in (each, everything):
         axes.grid(axis="y", alpha=0.25)
         axes.set_axisbelow(True)
-    figure.suptitle("Cable-length error of the winches: measured minus commanded, first seed")
-    put_patches(figure, colors)
+    set_title(figure, f"{robots_title(results)}: cable-length error of the winches, first seed")
+    put_marks(figure, looks_of([group for group, _ in kept]))
     return figure
 
 
-def length_errors(results: StudyResults) -> dict[str, Array]:
-    """Return measured minus commanded lengths of example cases [mm], shape (S, n), by label."""
-    errors = {}
-    for label, rows in list(zip(results.labels, results.groups, strict=True))[:GROUPS_MAX]:
-        series = [json.loads(str(row["series"])) for row in scored(rows) if row.get("series")]
-        values = [
-            MM_PER_M * np.array(one["length_error_m"]) for one in series if "length_error_m" in one
-        ]
+def length_errors(results: StudyResults) -> list[tuple[Group, Array]]:
+    """Return measured minus commanded lengths of example cases [m], shape (S, n), by group."""
+    errors = []
+    for group in groups_of(results):
+        series = [json.loads(str(row["series"])) for row in scored(group.rows) if row.get("series")]
+        values = [np.array(one["length_error_m"]) for one in series if "length_error_m" in one]
         if values:
-            errors[label] = np.concatenate(values)
+            errors.append((group, np.concatenate(values)))
     return errors
+
+
+@styled
+def draw_gaussians(results: StudyResults) -> Figure:
+    """Draw the scatter of the RMSE over cases as the paper does: as a normal distribution.
+
+    It reaches below zero where cases scatter much; other pictures show the distribution itself.
+    """
+    groups = groups_of(results)
+    panel = BELL_LINE_INCH * (1.0 / BELL_LINE_RATIO + len(groups) + 1.0)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 2.0 * (panel + 0.6) + 0.5 + 0.1 * len(groups))
+    panels = figure.subplots(2, 2).ravel()
+    columns = {
+        name: [np.array([row[f"tracking_rmse_{name}_m"] for row in tracked(group.rows)], float)
+               for group in groups]
+        for name in AXIS_NAMES
+    }  # fmt: skip
+    unit, factor = unit_of(values for some in columns.values() for values in some)
+    for axes, (name, some) in zip(panels, columns.items(), strict=True):
+        for place, (group, values) in enumerate(zip(groups, some, strict=True)):
+            if len(values):
+                _bell(axes, factor * values, -BELL_LINE_RATIO * (place + 1), group.look)
+        axes.set_title(name)
+        axes.set(
+            xlabel=f"RMSE of a case [{unit}]",
+            yticks=[],
+            ylim=(-BELL_LINE_RATIO * (len(groups) + 0.8), 1.1),
+        )
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
+        axes.grid(axis="x", alpha=0.25)
+    set_title(
+        figure,
+        f"{robots_title(results)}: RMSE per case (ticks), mean ± standard deviation (right); "
+        f"from {VIOLIN_VALUES_MIN} cases on their normal distribution",
+    )
+    put_marks(figure, looks_of(groups))
+    return figure
+
+
+def _bell(axes: Any, values: Array, low: float, look: Series) -> None:
+    """Draw values as ticks below zero and, if there are enough, their normal distribution above."""
+    color = look.color
+    axes.plot(values, np.full(len(values), low), "|", color=color, ms=5, alpha=0.7)
+    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    text = f"{mean:.1f}"
+    if deviation > 0.0 and len(values) >= VIOLIN_VALUES_MIN:
+        text += f" ± {deviation:.1f}"
+        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
+        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
+        axes.fill_between(grid, height, color=color, alpha=0.2, lw=0.0)
+        axes.plot(grid, height, color=color, ls=look.line)
+        axes.plot(mean, 1.0, look.marker, color=color, ms=4.5, mec="white", mew=0.6)
+    beside = axes.get_yaxis_transform()
+    axes.text(1.02, low, text, transform=beside, ha="left", va="center", color=color, fontsize=7)
 
 
 def _validated(draw: Callable[[ValidationResult], Figure]) -> Callable[..., list[Drawn]]:
@@ -136,7 +200,7 @@ FIGURES = (
     ),
     PaperFigure(
         place=2, name="simulation_error_violins", command=VALIDATE_COMMAND,
-        draw=_validated(draw_violins), what="absolute error of the simulator per axis",
+        draw=_validated(draw_violins), what="error of the simulator per axis",
     ),
     PaperFigure(
         place=3, name="measured_length_error", command=VALIDATE_COMMAND,
@@ -153,6 +217,6 @@ FIGURES = (
     ),
     PaperFigure(
         place=11, name="error_over_time", command=COMPARE_COMMAND, draw=_over_time,
-        what="absolute error over time per axis, rests shaded",
+        what="error over time per axis, rests shaded",
     ),
 )  # fmt: skip

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.drawing import set_plane, set_space
+from carosac_toolkit.pictures.drawing import (
+    ENLARGEMENTS,
+    new_figure,
+    put_legend,
+    set_plane,
+    set_space,
+    set_title,
+)
+from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.pulleys import CableDrawing, draw_cables
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, SERIES_COLORS, styled
 from carosac_toolkit.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -17,16 +26,20 @@ if TYPE_CHECKING:
 
     from carosac_toolkit.inspection.report import RobotReport
 
-CABLE_COLOR = "#1f6f8b"
+CABLE_COLOR = SERIES_COLORS[0]
 FRAME_COLOR = "#3a3a3a"
-PLATFORM_COLOR = "#c8553d"
+PLATFORM_COLOR = SERIES_COLORS[1]
 WORKSPACE_BOX_COLOR = "#8a8a8a"
-FED_CABLE_COLOR = "#d9a441"
+FED_CABLE_COLOR = SERIES_COLORS[2]
+DRAWN_PLATFORM_RATIO_MIN = 0.05  # of the largest extent: smaller platforms are drawn larger
 DRAWN_PULLEY_RADIUS_MIN = 0.012  # of the largest extent: smaller pulleys are drawn with this radius
 
 
+@styled
 def draw_robot(report: RobotReport) -> Figure:
     """Draw frame, cables as they hang, platform, workspace box and home position.
+
+    A platform that would be too small to see is drawn larger; the legend says how many times.
 
     Args:
         report: The robot and how it hangs at home.
@@ -34,35 +47,60 @@ def draw_robot(report: RobotReport) -> Figure:
     Returns:
         A figure without a window; ``savefig`` writes it.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.55, 1.0))
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.6)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.3, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
     extent = _limits(report, [report.shape.reshape(-1, 3)])
     smallest = DRAWN_PULLEY_RADIUS_MIN * float((extent[:, 1] - extent[:, 0]).max())
     cables = draw_cables(report, smallest)
-    limits = _limits(report, [np.vstack([c.free, c.wheel, c.incoming]) for c in cables])
+    corners = _platform(report, platform_factor(report.robot, extent))
+    limits = _limits(report, [corners, *(np.vstack([c.free, c.wheel, c.incoming]) for c in cables)])
     _draw_space(space, report, cables, limits)
+    _draw_platform(space, report, corners, platform_factor(report.robot, extent))
     _draw_pulleys(space, report, cables, smallest)
-    _draw_plane(figure.add_subplot(grid[0, 1]), report, cables, (0, 1), limits)
-    _draw_plane(figure.add_subplot(grid[1, 1]), report, cables, (1, 2), limits)
+    _draw_plane(figure.add_subplot(grid[0, 1]), report, cables, corners, (0, 1), limits)
+    _draw_plane(figure.add_subplot(grid[1, 1]), report, cables, corners, (1, 2), limits)
     robot = report.robot
     answer = f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
     if not report.equilibrium.converged[0]:
         answer = "NO EQUILIBRIUM AT HOME (cables drawn straight)"
     elif not report.feasible:
         answer = "CANNOT STAY AT HOME"
-    figure.suptitle(
+    set_title(
+        figure,
         f"{robot.name}: {robot.n} cables, {report.constraint}"
-        f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg; {answer}"
+        f"{', suspended' if report.suspended else ''}",
+        f"platform {robot.mass:.3g} kg; {answer}",
     )
-    handles, labels = space.get_legend_handles_labels()
-    columns = len(labels) if len(labels) <= 5 else 4
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    put_legend(figure, space)
+    span_max = float((limits[:, 1] - limits[:, 0]).max())
+    curves = [curve for c in cables for curve in (c.free, c.wheel, c.incoming) if len(curve)]
+    box = [dense(*edge) for edge in box_edges(robot)]
+    names = exit_labels(robot, 0.08 * span_max)
+    name_points(space, names, [*curves, *box, corners, robot.exit_points])
     return figure
+
+
+def platform_factor(robot: Robot, limits: Array) -> int:
+    """Return how many times larger a platform is drawn so that it can be seen.
+
+    Args:
+        robot: The robot.
+        limits: Lower and upper end of the drawn range of each axis [m], shape (3, 2).
+    """
+    size = float(np.ptp(robot.anchor_points, axis=0).max())
+    wanted = DRAWN_PLATFORM_RATIO_MIN * float((limits[:, 1] - limits[:, 0]).max())
+    if size <= 0.0 or size >= wanted:
+        return 1
+    return next((k for k in ENLARGEMENTS if k * size >= wanted), ENLARGEMENTS[-1])
+
+
+def _platform(report: RobotReport, factor: int) -> Array:
+    """Return the drawn anchor points at home in W [m], shape (n, 3)."""
+    anchors = _anchors(report)
+    center = anchors.mean(axis=0)
+    enlarged: Array = center + factor * (anchors - center)
+    return enlarged
 
 
 def _limits(report: RobotReport, drawn: list[Array]) -> Array:
@@ -86,7 +124,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         axes.plot(
             *edge.T,
             color=WORKSPACE_BOX_COLOR,
-            lw=0.9,
+            lw=0.7,
             ls="--",
             label=None if k else "workspace box",
         )
@@ -94,8 +132,8 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         post = np.array([[*point[:2], limits[2, 0]], point])
         axes.plot(*post.T, color=FRAME_COLOR, lw=0.6, alpha=0.25)
     for k, cable in enumerate(cables):
-        axes.plot(*cable.free.T, color=CABLE_COLOR, lw=1.4, label=None if k else "cables at home")
-    size = 10 if (robot.pulley_radius > 0.0).any() else 28  # beside a pulley it is its datum
+        axes.plot(*cable.free.T, color=CABLE_COLOR, lw=1.1, label=None if k else "cables at home")
+    size = 6 if (robot.pulley_radius > 0.0).any() else 14  # beside a pulley it is its datum
     axes.scatter(
         *robot.exit_points.T,
         color=FRAME_COLOR,
@@ -104,12 +142,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         label="exit points",
         depthshade=False,
     )
-    _draw_platform(axes, report)
-    set_space(axes, limits, zoom=0.98, elev=20.0, azim=-52.0)
-    span_max = (limits[:, 1] - limits[:, 0]).max()
-    for name, point in exit_labels(robot, 0.08 * span_max):
-        x, y, z = point
-        axes.text(x, y, z + 0.025 * span_max, name, fontsize=7, ha="center")
+    set_space(axes, limits, elev=20.0, azim=-52.0)
 
 
 def _draw_pulleys(
@@ -130,10 +163,10 @@ def _draw_pulleys(
     scale = f"drawn with {smallest * 1e3:.0f} mm radius or more" if enlarged else "to scale"
     for k, cable in enumerate(wheels):
         axes.plot(
-            *cable.wheel.T, color=FRAME_COLOR, lw=0.9, label=None if k else f"pulleys, {scale}"
+            *cable.wheel.T, color=FRAME_COLOR, lw=0.7, label=None if k else f"pulleys, {scale}"
         )
         label = None if k else "cable from the winch"
-        axes.plot(*cable.incoming.T, color=FED_CABLE_COLOR, lw=1.4, label=label)
+        axes.plot(*cable.incoming.T, color=FED_CABLE_COLOR, lw=1.1, label=label)
 
 
 def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
@@ -152,24 +185,27 @@ def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
     ]
 
 
-def _draw_platform(axes: Any, report: RobotReport) -> None:
-    """Draw the platform as the hull of its anchor points, with its frame and home position."""
+def _draw_platform(axes: Any, report: RobotReport, corners: Array, factor: int) -> None:
+    """Draw the platform as the hull of its anchor points, and the home position."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    anchors = _anchors(report)
     patch = Poly3DCollection(
-        _faces(anchors), facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
+        _faces(corners), facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
     )
     axes.add_collection3d(patch)
-    axes.scatter(*anchors.T, color=PLATFORM_COLOR, s=10, label="anchor points", depthshade=False)
+    larger = f", platform drawn {factor} times larger" if factor > 1 else ""
+    axes.scatter(
+        *corners.T, color=PLATFORM_COLOR, s=7, label=f"anchor points{larger}", depthshade=False
+    )
     home = report.robot.home_position[:, None]
-    axes.scatter(*home, color="black", s=45, marker="+", label="home position", depthshade=False)
+    axes.scatter(*home, color="black", s=30, marker="+", label="home position", depthshade=False)
 
 
 def _draw_plane(
     axes: Any,
     report: RobotReport,
     cables: list[CableDrawing],
+    corners: Array,
     pair: tuple[int, int],
     limits: Array,
 ) -> None:
@@ -178,7 +214,7 @@ def _draw_plane(
     pulleys = (robot.pulley_radius > 0.0).any()
     columns = list(pair)
     for edge in box_edges(robot):
-        axes.plot(*edge[:, columns].T, color=WORKSPACE_BOX_COLOR, lw=0.9, ls="--")
+        axes.plot(*edge[:, columns].T, color=WORKSPACE_BOX_COLOR, lw=0.7, ls="--")
     for cable in cables:
         axes.fill(
             *cable.wheel[:, columns].T,
@@ -187,13 +223,13 @@ def _draw_plane(
             alpha=0.3,
             lw=0.8,
         )
-        axes.plot(*cable.incoming[:, columns].T, color=FED_CABLE_COLOR, lw=1.2)
-        axes.plot(*cable.free[:, columns].T, color=CABLE_COLOR, lw=1.2)
-    anchors = _anchors(report)[:, columns]
+        axes.plot(*cable.incoming[:, columns].T, color=FED_CABLE_COLOR, lw=1.0)
+        axes.plot(*cable.free[:, columns].T, color=CABLE_COLOR, lw=1.0)
+    anchors = corners[:, columns]
     axes.fill(*_hull(anchors).T, facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35)
     axes.plot(*anchors.T, ".", color=PLATFORM_COLOR, ms=3)
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=2.5 if pulleys else 4)
-    axes.plot(*robot.home_position[columns], "+", color="black", ms=8)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=2.0 if pulleys else 3)
+    axes.plot(*robot.home_position[columns], "+", color="black", ms=6)
     title = "from above" if pair == (0, 1) else "along x"
     set_plane(axes, pair, title, xlim=limits[pair[0]], ylim=limits[pair[1]])
 

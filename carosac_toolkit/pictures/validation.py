@@ -8,76 +8,102 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.pictures.drawing import (
     DOTTED_SAMPLES_MAX,
-    MEASURED_COLOR,
-    REST_COLOR,
-    SERIES_COLORS,
+    Path,
     draw_in_space,
     draw_violin,
+    enlarged_text,
+    enlargement,
+    line_style,
     new_figure,
+    number_below,
     put_legend,
-    put_patches,
+    put_marks,
+    rms,
+    set_title,
     views,
 )
-from carosac_toolkit.validation.quantities import unit_for
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    MEASURED_COLOR,
+    REST_COLOR,
+    Series,
+    series,
+    styled,
+)
+from carosac_toolkit.pictures.units import unit_of
+from carosac_toolkit.studies.compare.results import AXIS_NAMES
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@styled
 def draw_paths(result: ValidationResult) -> Figure:
-    """Draw the measured and the modelled paths in space, from above and from the side."""
-    figure = new_figure(12.0, 7.2)
-    dots = _dots(result)
-    black = {"color": MEASURED_COLOR, **dots}
-    paths = {"measured": (result.measured.position, {"lw": 1.6, **black}, {"lw": 1.4, **black})}
-    for name, (model, color) in _scored(result).items():
-        style = {"color": color, **dots}
-        paths[name] = (_positions(model), {"lw": 1.0, **style}, {"lw": 0.9, **style})
+    """Draw the measured and the modelled paths, their differences enlarged, in three views."""
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    known, models = result.measured.position, _scored(result)
+    errors = {name: _error(result, model) for name, (model, _) in models.items()}
+    factor = enlargement(known, errors.values())
+    black = {"color": MEASURED_COLOR, "lw": 1.2, **_dots(result)}
+    paths: dict[str, Path] = {"measured": (known, black)}
+    for name, (_, look) in models.items():
+        paths[name] = (known + factor * errors[name], _line(result, look))
     draw_in_space(figure, paths, views(result.robot))
-    figure.suptitle(f"{result.robot.name}: path of the platform origin, {_count(result)}")
+    set_title(
+        figure,
+        f"{result.robot.name}: path of the platform origin, "
+        f"{counted(result.samples, 'sample')}, {enlarged_text(factor)}",
+    )
     return figure
 
 
+@styled
 def draw_violins(result: ValidationResult) -> Figure:
-    """Draw the distribution of the absolute position error, per axis and in norm."""
-    figure = new_figure(12.0, 4.8)
+    """Draw the distribution of the signed position error per axis, and of its norm."""
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.0)
     models = _scored(result)
     panels = figure.subplots(1, 4, sharey=False)
-    unit, factor = _unit([_error(result, model) for model, _ in models.values()])
-    for column, axes in enumerate(panels):
-        for place, (model, color) in enumerate(models.values()):
-            error = _error(result, model)
-            error = error[np.isfinite(error[:, 0])]
-            size = np.linalg.norm(error, axis=1) if column == 3 else np.abs(error[:, column])
-            draw_violin(axes, size * factor, place, color)
-        axes.set_title("norm" if column == 3 else "xyz"[column], fontsize=10)
-        top = axes.get_ylim()[1]
-        ends = (-0.04 * top, 1.04 * top)  # an error of zero stands clear of the edge
-        axes.set(xticks=[], xlim=(-0.6, len(models) - 0.4), ylim=ends)
+    errors = {name: _error(result, model) for name, (model, _) in models.items()}
+    unit, factor = unit_of(errors.values())
+    for column, (title, axes) in enumerate(zip(AXIS_NAMES, panels, strict=True)):
+        numbers: dict[float, float | None] = {}
+        for place, (name, (_, look)) in enumerate(models.items()):
+            error = factor * errors[name][np.isfinite(errors[name][:, 0])]
+            size = np.linalg.norm(error, axis=1) if column == 3 else error[:, column]
+            draw_violin(axes, size, place, look)
+            numbers[place] = rms(size)
+        axes.set_title(title)
+        axes.set_xlim(-0.6, len(models) - 0.4)
+        axes.margins(y=0.08)
+        number_below(axes, numbers, f"RMSE [{unit}]")
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
         axes.grid(axis="y", alpha=0.25)
-    panels[0].set_ylabel(f"absolute position error [{unit}]")
-    figure.suptitle("Position error: distribution; bar: RMSE; dot: median")
-    put_patches(figure, {name: color for name, (_, color) in models.items()})
+    panels[0].set_ylabel(f"model minus measured position [{unit}]")
+    set_title(figure, f"{result.robot.name}: position error of all samples; marker: mean")
+    put_marks(figure, _looks(models))
     return figure
 
 
+@styled
 def draw_time_series(result: ValidationResult) -> Figure:
     """Draw positions and errors over time, with the rests of the winches shaded."""
-    figure = new_figure(12.5, 12.0)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 8.0)
     models = _scored(result)
     panels = figure.subplots(6, 1, sharex=True, height_ratios=(1.25, 1.0) * 3)
     time, dots = result.time, _dots(result)
-    unit, factor = _unit([_error(result, model) for model, _ in models.values()])
+    unit, factor = unit_of(_error(result, model) for model, _ in models.values())
     for axis, name in enumerate("xyz"):
         place, below = panels[2 * axis], panels[2 * axis + 1]
         known = result.measured.position[:, axis]
-        place.plot(time, known, color=MEASURED_COLOR, lw=1.6, label="measured", **dots)
-        for label, (model, color) in models.items():
-            place.plot(time, _positions(model)[:, axis], color=color, lw=1.0, label=label, **dots)
-            below.plot(time, _error(result, model)[:, axis] * factor, color=color, lw=1.0, **dots)
+        place.plot(time, known, color=MEASURED_COLOR, lw=1.4, label="measured", **dots)
+        for label, (model, look) in models.items():
+            style = _line(result, look)
+            place.plot(time, _positions(model)[:, axis], label=label, **style)
+            below.plot(time, _error(result, model)[:, axis] * factor, **style)
         below.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         place.set_ylabel(f"{name} [m]")
         below.set_ylabel(f"error in {name} [{unit}]")
@@ -90,41 +116,49 @@ def draw_time_series(result: ValidationResult) -> Figure:
                 shade.set_label("winches at rest")
     figure.align_ylabels(panels)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle("Measured and modelled position, and error (model minus measured), over time")
+    set_title(
+        figure,
+        f"{result.robot.name}: position over time, measured and modelled, and error "
+        "(model minus measured)",
+    )
     put_legend(figure, panels[0])
     return figure
 
 
+@styled
 def draw_length_errors(result: ValidationResult) -> Figure:
     """Draw the distribution of the cable-length error, per cable and over all cables."""
-    figure = new_figure(12.0, 4.8)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.2)
     names = result.robot.cable_names
     models = _scored(result)
     each, everything = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
     count = max(len(models), 1)
     width = 0.8 / count
-    unit, factor = _unit([_length_error(model) for model, _ in models.values()])
+    unit, factor = unit_of(_length_error(model) for model, _ in models.values())
     errors = [_length_error(model) * factor for model, _ in models.values()]
     pooled = np.concatenate([error[np.isfinite(error)] for error in errors] or [np.zeros(0)])
     bins = np.histogram_bin_edges(pooled, bins=40)
-    for place, (error, (_, color)) in enumerate(zip(errors, models.values(), strict=True)):
+    for place, (error, (_, look)) in enumerate(zip(errors, models.values(), strict=True)):
         known = [column[np.isfinite(column)] for column in error.T]
         for cable, values in enumerate(known):
             offset = (place - (count - 1) / 2) * width
-            draw_violin(each, values, cable + offset, color, width=0.9 * width, signed=True)
+            draw_violin(each, values, cable + offset, look, width=0.9 * width)
         flat = np.concatenate(known)
         if len(flat):
-            everything.hist(flat, bins=bins, histtype="step", density=True, color=color, lw=1.5)
-    each.set_xticks(range(len(names)), names, rotation=20 if len(names) > 4 else 0)
+            everything.hist(
+                flat, bins=bins, histtype="step", density=True, color=look.color, ls=look.line,
+                lw=1.2,
+            )  # fmt: skip
+    each.set_xticks(range(len(names)), names, rotation=35 if len(names) > 4 else 0)
     each.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
     each.set_ylabel(f"measured minus predicted length [{unit}]")
     each.grid(axis="y", alpha=0.25)
     everything.set(xlabel=f"measured minus predicted length [{unit}]", ylabel=f"density [1/{unit}]")
-    everything.set_title("all cables", fontsize=10)
+    everything.set_title("all cables")
     everything.grid(alpha=0.25)
-    each.set_title("per cable; dot: mean", fontsize=10)
-    figure.suptitle("Cable-length error at the measured poses")
-    put_patches(figure, {name: color for name, (_, color) in models.items()})
+    each.set_title("per cable; marker: mean")
+    set_title(figure, f"{result.robot.name}: cable-length error at the measured poses")
+    put_marks(figure, _looks(models))
     return figure
 
 
@@ -136,13 +170,23 @@ VALIDATION_PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
 }
 
 
-def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, str]]:
-    """Yield models with scores, each with a colour that does not depend on the others' success."""
+def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, Series]]:
+    """Return models with scores, each with a look that does not depend on the others' success."""
     return {
-        name: (model, SERIES_COLORS[k % len(SERIES_COLORS)])
+        name: (model, series(k))
         for k, (name, model) in enumerate(result.models.items())
         if model.scores is not None
     }
+
+
+def _looks(models: Mapping[str, tuple[ModelResult, Series]]) -> dict[str, Series]:
+    """Return the looks of models for a legend."""
+    return {name: look for name, (_, look) in models.items()}
+
+
+def _line(result: ValidationResult, look: Series) -> dict[str, Any]:
+    """Return the style of the line of a model."""
+    return line_style(look, result.samples) | {"lw": 1.0} | _dots(result)
 
 
 def _positions(model: ModelResult) -> Array:
@@ -162,16 +206,6 @@ def _length_error(model: ModelResult) -> Array:
     return model.length_error
 
 
-def _unit(errors: list[Array]) -> tuple[str, float]:
-    """Return the unit for the largest of some errors [m], and its number per metre."""
-    known = [np.abs(error[np.isfinite(error)]) for error in errors]
-    return unit_for(max((float(error.max()) for error in known if error.size), default=0.0))
-
-
 def _dots(result: ValidationResult) -> dict[str, Any]:
     """Return markers, if so few samples would leave a line alone invisible."""
-    return {"marker": "o", "ms": 4} if result.samples <= DOTTED_SAMPLES_MAX else {}
-
-
-def _count(result: ValidationResult) -> str:
-    return f"{result.samples} sample" + ("s" if result.samples != 1 else "")
+    return {"marker": "o", "ms": 3, "markevery": 1} if result.samples <= DOTTED_SAMPLES_MAX else {}

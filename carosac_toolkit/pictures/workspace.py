@@ -9,27 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.drawing import new_figure, set_space
+from carosac_toolkit.pictures.drawing import (
+    new_figure,
+    set_space,
+    set_title,
+)
+from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
-from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, describe
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, styled
+from carosac_toolkit.pictures.workspace_limits import (
+    BOX_FACE_COLOR,
+    FRAME_COLOR,
+    HATCHES,
+    INSIDE_COLOR,
+    by_words,
+    limit_legend,
+    shown_limits,
+)
+from carosac_toolkit.workspace.limits import CABLE_LIMITS
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INSIDE_COLOR = "#eef1f4"
-FRAME_COLOR = "#202020"
-PLAIN_COLORS = {
-    Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
-    Limit.NO_EQUILIBRIUM: "#5b6470",
-    Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
-}  # fmt: skip
-COLOR_SCALES = {
-    Limit.NO_EQUILIBRIUM: "Greys",
-    Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
-    Limit.TOO_LONG: "Purples",
-}  # fmt: skip
+SIDE_BY_SIDE_ASPECT_MAX = 4.0  # sum of width over height of slices up to which they fit in a row
+PANEL_ROOM_RATIO = 0.03  # of the longer side of a slice, around it
+PANEL_HEIGHT_MAX_INCH = 3.0  # [inch] of the drawn part of a slice
 MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
     ("tilt", "tilt [deg]", 180.0 / np.pi),
@@ -40,31 +46,68 @@ MAPPED_QUANTITIES = (
 )
 
 
+@styled
 def draw_slices(regions: Sequence[Region]) -> Figure:
-    """Draw slices: the margin above, the limit that decides below.
+    """Draw slices: the margin of the tensions, and beside it the limit that decides.
+
+    Each slice has a scale of its own and fills its panel. Slices stand side by side, margin above
+    limit, or below each other if together they are too wide for that.
 
     Args:
         regions: Verdicts on planes; see `slice_grid`.
     """
     planes = [_Plane(region) for region in regions]
-    widths = [plane.width for plane in planes]
-    tall = max(plane.height for plane in planes)
-    unit = min(13.0 / sum(widths), 4.0 / tall)
-    figure = new_figure(3.0 + 0.8 * len(planes) + unit * sum(widths), 2.4 + 2.0 * unit * tall)
-    panels = figure.subplots(2, len(regions), squeeze=False, width_ratios=widths)
-    shown = _shown_limits(regions)
+    shown = shown_limits(regions)
     scale = _margin_scale(regions)
+    figure, margins, limits = _slice_panels(planes, len(by_words(shown)))
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
-        image = _draw_margin(panels[0, k], region, plane, scale)
-        _draw_limits(panels[1, k], region, plane, shown)
-        panels[0, k].set_title(f"{plane.title}\n{region.share:.1%} inside", fontsize=9)
+        image = _draw_margin(margins[k], region, plane, scale)
+        _draw_limits(limits[k], region, plane, shown)
+        margins[k].set_title(f"{plane.title}\n{region.share:.1%} inside")
     label = "margin of the tensions [N]"
+    panels = [*margins, *limits]
     figure.colorbar(
-        image, ax=panels, label=label, extend="both", fraction=0.05, shrink=0.45, anchor=(0.0, 1.0)
+        image, ax=panels, label=label, extend="both", fraction=0.06, pad=0.02, aspect=40
     )
-    _limit_legend(figure, regions[0], shown)
-    figure.suptitle(f"{_title(regions[0])}; black line: end of the workspace", fontsize=11)
+    exits = any(plane.shows(regions[0].robot.exit_points) for plane in planes)
+    limit_legend(figure, regions[0], shown, exits=exits)
+    first, second = ("left", "right") if _below_each_other(planes) else ("above", "below")
+    set_title(
+        figure,
+        _title(regions[0]),
+        f"{first}: margin of the tensions; {second}: deciding limit; black line: workspace's end",
+    )
     return figure
+
+
+def _slice_panels(planes: Sequence[_Plane], entries: int) -> tuple[Figure, list[Any], list[Any]]:
+    """Make a figure with two panels for each slice, each as wide to high as its slice.
+
+    Args:
+        planes: The slices.
+        entries: Number of kinds of limits in the legend.
+
+    Returns:
+        The figure, and the panels of margins and of limits.
+    """
+    aspects = [plane.aspect for plane in planes]
+    below = 0.8 + 0.16 * (entries + 2 if entries else 1)  # [inch] of title and legend
+    if _below_each_other(planes):
+        width = 0.5 * (DOUBLE_COLUMN_INCH - 2.0)
+        heights = [width / aspect for aspect in aspects]
+        figure = new_figure(DOUBLE_COLUMN_INCH, below + sum(heights) + 0.7 * len(planes))
+        panels = figure.subplots(len(planes), 2, squeeze=False, height_ratios=heights)
+        return figure, list(panels[:, 0]), list(panels[:, 1])
+    room = DOUBLE_COLUMN_INCH - 0.9 - 0.55 * len(planes)
+    height = min(room / sum(aspects), PANEL_HEIGHT_MAX_INCH)
+    figure = new_figure(DOUBLE_COLUMN_INCH, below + 2.0 * (height + 0.5))
+    panels = figure.subplots(2, len(planes), squeeze=False, width_ratios=aspects)
+    return figure, list(panels[0]), list(panels[1])
+
+
+def _below_each_other(planes: Sequence[_Plane]) -> bool:
+    """Return whether slices stand below each other, because side by side they would be flat."""
+    return sum(plane.aspect for plane in planes) > SIDE_BY_SIDE_ASPECT_MAX
 
 
 def _title(region: Region) -> str:
@@ -72,6 +115,7 @@ def _title(region: Region) -> str:
     return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
 
 
+@styled
 def draw_maps(region: Region, found: Maps) -> Figure:
     """Draw margin, tilt, stiffness, frequency, sag and cable distance on one slice.
 
@@ -82,9 +126,9 @@ def draw_maps(region: Region, found: Maps) -> Figure:
     plane = _Plane(region)
     wide = plane.width > 1.4 * plane.height
     rows, across = (3, 2) if wide else (2, 3)
-    unit = min(12.0 / (across * plane.width), 11.0 / (rows * plane.height))
-    size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
-    figure = new_figure(max(size[0], 6.0), size[1])
+    width = DOUBLE_COLUMN_INCH / across - 1.1  # [inch] of a panel without its labels
+    height = min(width * plane.height / plane.width, PANEL_HEIGHT_MAX_INCH)
+    figure = new_figure(DOUBLE_COLUMN_INCH, rows * (height + 0.5) + 0.4)
     panels = figure.subplots(rows, across).ravel()
     for axes, (name, label, factor) in zip(panels, MAPPED_QUANTITIES, strict=True):
         record: Any = region.verdicts if name in ("margin", "distance") else found
@@ -92,7 +136,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
         mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
         figure.colorbar(mesh, ax=axes, label=label, shrink=0.9)
         _set_plane(axes, region, plane)
-    figure.suptitle(f"{_title(region)}, {plane.title}; white: outside", fontsize=11)
+    set_title(figure, f"{_title(region)}, {plane.title}; white: outside")
     return figure
 
 
@@ -109,6 +153,7 @@ def _norm(name: str, values: Array) -> Any:
     return Normalize(low, high)
 
 
+@styled
 def draw_space(region: Region) -> Figure:
     """Draw the boundary of a workspace in space, coloured by the limit beyond it.
 
@@ -117,31 +162,43 @@ def draw_space(region: Region) -> Figure:
     """
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    figure = new_figure(10.0, 7.6)
+    entries = len(by_words(shown_limits([region])))
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.0 + 0.16 * (entries + 2 if entries else 1))
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
-    shown = _shown_limits([region])
+    shown = shown_limits([region])
     colors = [BOX_FACE_COLOR if key == (0, -1) else shown[key] for key in keys]
     if faces:
         axes.add_collection3d(
-            Poly3DCollection(faces, facecolors=colors, edgecolors=(0, 0, 0, 0.12), linewidths=0.2)
+            Poly3DCollection(
+                faces,
+                facecolors=colors,
+                edgecolors=(0, 0, 0, 0.12),
+                linewidths=0.2,
+                rasterized=True,
+            )
         )
     robot = region.robot
-    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=26, marker="s", depthshade=False)
-    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
-        axes.text(*point, f" {name}", fontsize=7)
+    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=14, marker="s", depthshade=False)
     for edge in box_edges(robot):
         axes.plot(*edge.T, color=FRAME_COLOR, lw=0.8, ls="--", zorder=5)
     drawn = np.vstack([robot.exit_points, region.grid.positions])
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
     set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
-    _limit_legend(figure, region, shown, box=True)
-    figure.suptitle(f"{_title(region)}: {region.volume:.3g} m³, {region.share:.1%} of the box")
+    limit_legend(figure, region, shown, box=True)
+    size = f"{volume_text(region.volume)}, {region.share:.1%} of the box"
+    set_title(figure, f"{_title(region)}: {size}")
+    names = exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max()))
+    box = [dense(*edge) for edge in box_edges(robot)]
+    name_points(axes, names, [*faces, *box, robot.exit_points])
     return figure
 
 
-BOX_FACE_COLOR = "#dfe5ea"
+def volume_text(volume: float) -> str:
+    """Write a volume [m³] with three digits and no exponent."""
+    digits = max(0, 2 - int(np.floor(np.log10(volume)))) if volume > 0.0 else 0
+    return f"{volume:.{digits}f} m³"
 
 
 class _Plane:
@@ -155,8 +212,22 @@ class _Plane:
         self.x, self.y = region.grid.axes[self.right], region.grid.axes[self.up]
         self.size = (shape[self.right], shape[self.up])
         self.width, self.height = (float(max(np.ptp(x), 1e-3)) for x in (self.x, self.y))
+        left, right = self.ends(self.x)
+        low, high = self.ends(self.y)
+        self.aspect = (right - left) / (high - low)
         value = region.grid.axes[across][0]
         self.title = f"{'xyz'[across]} = {value:.4g} m"
+
+    def ends(self, coordinates: Array) -> tuple[float, float]:
+        """Return the ends of an axis that shows coordinates, with a little room."""
+        room = PANEL_ROOM_RATIO * max(self.width, self.height)
+        return float(coordinates[0]) - room, float(coordinates[-1]) + room
+
+    def shows(self, points: Array) -> bool:
+        """Return whether any of some points in W [m], shape (n, 3), is on an axis of the panel."""
+        (left, right), (low, high) = self.ends(self.x), self.ends(self.y)
+        x, y = points[:, self.right], points[:, self.up]
+        return bool(((x >= left) & (x <= right) & (y >= low) & (y <= high)).any())
 
     def image(self, values: Array) -> Array:
         """Return values of all positions as an image."""
@@ -164,7 +235,8 @@ class _Plane:
 
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
         """Draw values as coloured cells."""
-        return axes.pcolormesh(self.x, self.y, self.image(values), shading="nearest", **options)
+        options = {"shading": "nearest", "rasterized": True, **options}
+        return axes.pcolormesh(self.x, self.y, self.image(values), **options)
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
@@ -197,7 +269,11 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
     for key, color in shown.items():
         colors[_matches(out, key)] = to_rgb(color)
     picture = colors.reshape(*plane.size, 3).swapaxes(0, 1)
-    axes.pcolormesh(plane.x, plane.y, picture, shading="nearest")
+    axes.pcolormesh(plane.x, plane.y, picture, shading="nearest", rasterized=True)
+    for kind, hatch in HATCHES.items():
+        mask = plane.image((out.limit == kind).astype(float))
+        if mask.any() and min(mask.shape) > 1:
+            axes.contourf(plane.x, plane.y, mask, levels=[0.5, 1.5], colors="none", hatches=[hatch])
     _set_plane(axes, region, plane)
 
 
@@ -208,52 +284,20 @@ def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
-    """Set limits, labels, exit points and the workspace box of a plane."""
+    """Set limits, labels, exit points and the workspace box of a plane.
+
+    The panel ends a little beyond the slice; exit points that are farther away are not shown.
+    """
     robot = region.robot
     axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
+    axes.set(xlim=plane.ends(plane.x), ylim=plane.ends(plane.y))
     low, high = robot.workspace_min, robot.workspace_max
     corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
     axes.plot(
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
         color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
-    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=4)
-
-
-def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
-    """Return a colour for each limit, and cable, that excludes positions."""
-    from matplotlib import colormaps
-
-    keys = {(limit, cable if limit in CABLE_LIMITS else -1)
-            for region in regions for limit, cable, _ in region.causes()}  # fmt: skip
-    n = regions[0].robot.n
-    shown: dict[tuple[int, int], Any] = {}
-    for limit, cable in sorted(keys):
-        kind = Limit(limit)
-        if kind in COLOR_SCALES and cable >= 0:
-            shown[limit, cable] = colormaps[COLOR_SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
-        else:
-            shown[limit, cable] = PLAIN_COLORS[kind]
-    return shown
-
-
-def _limit_legend(
-    figure: Figure, region: Region, shown: dict[tuple[int, int], Any], box: bool = False
-) -> None:
-    """Name the colours of the limits."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    names = region.robot.cable_names
-    handles = [
-        Patch(color=BOX_FACE_COLOR, label="face of the box")
-        if box
-        else Patch(color=INSIDE_COLOR, label="inside"),
-        *(Patch(color=c, label=describe(*key, names)) for key, c in shown.items()),
-        Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"),
-        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=3)
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:

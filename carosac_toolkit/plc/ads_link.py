@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.plc.blocks import CONTROL, DIAGNOSIS, FROM_HOST, MACHINE, TO_HOST, TRUTH
 from carosac_toolkit.plc.link import LinkError
 from carosac_toolkit.robot.hardware import ADS_TCP_PORT, AdsAddress, Hardware
@@ -72,8 +73,10 @@ class AdsLink:
         """Open a connection and ask for the handles of the symbols.
 
         Raises:
+            MissingExtra: pyads is not installed.
             LinkError: Nothing answers, or a symbol is missing.
         """
+        require("the ADS link", "pyads")
         import pyads
 
         ads = self._ads

@@ -15,7 +15,7 @@ from carosac_toolkit.base.file_limits import check_recording, check_text_size, d
 from carosac_toolkit.recordings.conversion import from_table, row_times, to_blocks, to_document
 from carosac_toolkit.recordings.csv_cells import CellParser
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.recordings.table import Mask, shortened
+from carosac_toolkit.recordings.table import Mask, Table, shortened
 
 BLOCK_CHARACTERS = 2**21  # that are parsed at once
 LINE_CHARACTERS_MAX = 2**17
@@ -41,6 +41,18 @@ def read_csv(path: Path) -> Recording:
     Raises:
         InvalidFile: With all faults that were found.
     """
+    table, document = read_table(path)
+    return from_table(table, document, path)
+
+
+def read_table(path: Path) -> tuple[Table, dict[str, Any] | None]:
+    """Read the columns of a CSV file, and the document in the comment lines above them.
+
+    Raises:
+        InvalidFile: With all faults that were found.
+    """
+    if path.stat().st_size == 0:
+        raise InvalidFile(path, ["the file is empty"])
     check_text_size(path, path.stat().st_size)
     with path.open("rb") as ending:
         ending.seek(-1, os.SEEK_END)
@@ -55,7 +67,7 @@ def read_csv(path: Path) -> Recording:
             table = CellParser(_names(header, path), path).table(lines.blocks())
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"not a text file: {error}"]) from error
-    return from_table(table, document, path)
+    return table, document
 
 
 class _Lines:

@@ -9,7 +9,8 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 
 EXIT_MATCH_MAX_M = 0.01  # [m]: exit points nearer than this are those of the robot

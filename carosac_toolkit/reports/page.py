@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import os
 import platform
 import shlex
@@ -15,16 +14,11 @@ from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.base.version import __version__
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PICTURE_DPI = 110
 REPORTED_LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
 _PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;
@@ -90,13 +84,6 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
     return [folder / name for name in files]
 
 
-def png(figure: Figure) -> bytes:
-    """Render a figure."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=PICTURE_DPI)
-    return buffer.getvalue()
-
-
 def page(title: str, parts: Sequence[str]) -> str:
     """Return the whole document."""
     head = [
@@ -134,12 +121,37 @@ def table(
     return f'<div class="wide"><table>{line(header, "th")}{body}</table></div>'
 
 
-def picture(image: bytes, caption: str) -> str:
-    """Embed one picture."""
+def pictures(files: Mapping[str, bytes], captions: Mapping[str, str]) -> list[str]:
+    """Embed pictures, with links to their vector versions beside the page.
+
+    Args:
+        files: Contents by file name; every PNG and WebP among them is embedded.
+        captions: Caption of each by the stem of its name.
+    """
+    names = [Path(name) for name in files]
+    return [
+        picture(
+            files[name.name],
+            captions[name.stem],
+            [one.name for one in names if one.stem == name.stem and one != name],
+        )
+        for name in names
+        if name.suffix in (".png", ".webp")
+    ]
+
+
+def picture(image: bytes, caption: str, others: Sequence[str] = ()) -> str:
+    """Embed one picture, PNG or WebP, with links to its files in other formats beside the page."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
-    source = f"data:image/png;base64,{text}"
+    kind = "webp" if image[8:12] == b"WEBP" else "png"
+    source = f"data:image/{kind};base64,{text}"
+    links = [
+        f'<a href="{escape(name)}">{escape(Path(name).suffix[1:].upper())}</a>' for name in others
+    ]
+    more = f" ({', '.join(links)})" if links else ""
     return (
-        f'<figure><img src="{source}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
+        f'<figure><img src="{source}" alt="{caption}">'
+        f"<figcaption>{caption}{more}</figcaption></figure>"
     )
 
 

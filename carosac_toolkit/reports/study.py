@@ -8,18 +8,19 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
     made_with,
     page,
-    picture,
-    png,
+    pictures,
     repeat,
     table,
     warnings,
     write_files,
 )
+from carosac_toolkit.studies.compare.example_cases import curves_of
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
@@ -27,24 +28,31 @@ from carosac_toolkit.studies.compare.results import StudyResults, estimated, tra
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
-from carosac_toolkit.studies.run.robot_copies import copy_of
+from carosac_toolkit.studies.run.robot_copies import PATHS_FOLDER, copy_of
 
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
+ANIMATION_FILE = "animation.webp"
+ANIMATED_MAX = 3  # controllers side by side
 STUDY_CAPTIONS = {
-    "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
-    "1 is better.",
-    "paths": "One case: path of the platform origin and its reference.",
-    "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
-    "error_violins": "Distribution of the absolute tracking error over the samples of all "
-    "trajectories, first seed.",
-    "rmse_gaussians": "How much the RMSE differs from case to case, over all trajectories and "
-    "seeds: the narrower, the more one case says about the next.",
-    "regions_and_estimates": "Tracking error in the centre and near the boundary of the workspace "
-    "box, and estimation error per axis, over all cases.",
-    "estimation": "Distribution of the absolute estimation error over the samples of all "
-    "trajectories, first seed; where an estimator has a covariance, also whether its errors are as "
-    "large as it says.",
+    "animation": "The same case under some controllers: cables by tension, distance of the "
+    "platform from its reference.",
+    "paired": "Every error over that of the baseline on the same draws, with its 95 % interval: "
+    "left of 1 is better. Full marks: the Holm-corrected p is at most 0.05; on the right: cases in "
+    "which the error was smaller.",
+    "paths": "One case: path of the platform origin and its reference, errors enlarged.",
+    "error_over_time": "One case: tracking error per axis; grey: the reference rests; a cross: "
+    "where a case that diverged leaves the panel, or ends.",
+    "error_violins": "Distribution of the tracking error over the samples of all trajectories, "
+    "first seed.",
+    "rmse_distribution": "How much the RMSE differs from case to case, over all trajectories and "
+    "seeds: share of cases with at most this RMSE. A curve that ends below 1 has cases without a "
+    "score.",
+    "regions": "Tracking error in the centre (the middle half of each side) and near the boundary "
+    "of the workspace box, over all cases.",
+    "estimation": "Distribution of the estimation error over the samples of all trajectories, "
+    "first seed, by estimator; where it has a covariance, also whether its errors are as large as "
+    "it says.",
 }
 
 
@@ -53,6 +61,7 @@ def write_report(
     said: Sequence[str],
     words: Sequence[str],
     blocks: Sequence[PairedBlock] | None = None,
+    animation: bytes | None = None,
 ) -> list[Path]:
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
@@ -61,22 +70,15 @@ def write_report(
         said: Conclusions, as sentences.
         words: The command that repeats it.
         blocks: Its paired comparisons; by default those with the first of each block.
+        animation: Animated WebP to show first, or None.
 
     Returns:
         The files, the report last.
     """
-    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
-    from carosac_toolkit.pictures.paired import comparable, draw_paired
-
     blocks = paired_blocks(results) if blocks is None else blocks
-    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
-    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
-        names = [name for name in names if name != "rmse_gaussians"]
-    if not names and estimated(results.rows):  # nothing follows commands on a recording
-        names = ["estimation"]
-    images = {f"{name}.png": png(COMPARISON_PICTURES[name](results)) for name in names}
-    if comparable(blocks):
-        images = {"paired.png": png(draw_paired(blocks)), **images}
+    images = _images(results, blocks)
+    if animation is not None:
+        images = {ANIMATION_FILE: animation, **images}
     document = _html(results, said, words, images, blocks)
     origin = _origin(results, words)
     tables = {
@@ -86,6 +88,53 @@ def write_report(
     }
     files = {name: text.encode() for name, text in tables.items()}
     return write_files(results.folder, {**images, **files, "report.html": document.encode()})
+
+
+def check_animation(controllers: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse an animation that could not be drawn, before a study runs.
+
+    Raises:
+        InvalidField: Too many controllers, or one that the study does not have.
+    """
+    if len(set(controllers)) < len(controllers) or len(controllers) > ANIMATED_MAX:
+        allowed = f"one to {ANIMATED_MAX} different controllers of the study"
+        raise InvalidField("--animation", repr(list(controllers)), allowed)
+    for name in controllers:
+        if name not in known:
+            allowed = f"of the study: {list(known)}{did_you_mean(name, known)}"
+            raise InvalidField("--animation", repr(name), allowed)
+
+
+def animation_of(results: StudyResults, controllers: Sequence[str]) -> bytes:
+    """Draw the animation of some controllers, in the case whose time series was kept.
+
+    Raises:
+        CarosacError: A controller has no such case.
+    """
+    from carosac_toolkit.pictures.animation import animation_webp
+    from carosac_toolkit.pictures.motions import motions_of
+
+    return animation_webp(motions_of(results.folder, results.rows, controllers))
+
+
+def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, bytes]:
+    """Draw the pictures for which there are data, as files in all formats."""
+    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+    from carosac_toolkit.pictures.groups import robot_names
+    from carosac_toolkit.pictures.paired import comparable, draw_paired
+    from carosac_toolkit.pictures.saving import picture_files
+
+    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
+    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
+        names = [name for name in names if name != "rmse_distribution"]
+    if not names and curves_of(results.rows):  # all cases diverged
+        names = ["paths", "error_over_time"]
+    if not names and estimated(results.rows):  # nothing follows commands on a recording
+        names = ["estimation"]
+    figures = {name: COMPARISON_PICTURES[name](results) for name in names}
+    if comparable(blocks):
+        figures = {"paired": draw_paired(blocks, robot_names(results)), **figures}
+    return picture_files(figures)
 
 
 def _origin(results: StudyResults, words: Sequence[str]) -> str:
@@ -126,7 +175,7 @@ def _html(
         f"<p>The same as {TABLES_MARKDOWN} and {TABLES_LATEX}, and all digits in {STATISTICS}, "
         "beside this page.</p>",
         f"<h2>Cases without a score</h2><pre>{escape(failed)}</pre>" if failed else "",
-        *(picture(image, STUDY_CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        *pictures(images, STUDY_CAPTIONS),
         "<h2>Settings</h2>",
         definitions({**_settings(results), **made_with()}),
         repeat(words),
@@ -137,7 +186,15 @@ def _html(
 def _settings(results: StudyResults) -> dict[str, str]:
     """Return the settings of the cases."""
     terms = {"cases": str(len(results.rows))}
-    for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
+    for name in (
+        "robot",
+        "controller",
+        "estimator",
+        "sensors",
+        "trajectory",
+        "perturbation",
+        "seed",
+    ):
         values = dict.fromkeys(str(row[name]) for row in results.rows)
         terms[name] = ", ".join(values)
     shared: dict[str, dict[str, None]] = {}
@@ -151,4 +208,7 @@ def _settings(results: StudyResults) -> dict[str, str]:
         if (path := copy_of(results.folder, row)) is not None
     )
     terms["robot files"] = "; ".join(copies)
+    paths = sorted((results.folder / PATHS_FOLDER).glob("*"))
+    if paths:
+        terms["trajectory files"] = "; ".join(str(x.relative_to(results.folder)) for x in paths)
     return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

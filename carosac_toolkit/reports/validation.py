@@ -14,8 +14,7 @@ from carosac_toolkit.reports.page import (
     definitions,
     made_with,
     page,
-    picture,
-    png,
+    pictures,
     repeat,
     table,
     warnings,
@@ -34,8 +33,9 @@ from carosac_toolkit.validation.tables import (
 
 SETTINGS_FILE = "report_settings.json"
 VALIDATION_CAPTIONS = {
-    "paths": "Path of the platform origin: measured and modelled.",
-    "error_violins": "Distribution of the absolute position error per axis and in norm.",
+    "paths": "Path of the platform origin: measured and modelled, with the errors enlarged.",
+    "error_violins": "Distribution of the position error, model minus measured, per axis and in "
+    "norm.",
     "time_series": "Position and error over time; grey: the winches rest.",
     "length_errors": "Measured cable lengths less those that each model predicts at the measured "
     "pose: straight cables for a model without tensions, hanging and stretched ones otherwise.",
@@ -102,12 +102,11 @@ def write_report(
     Returns:
         The files, the report last.
     """
+    from carosac_toolkit.pictures.saving import picture_files
     from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 
-    images = {
-        f"{name}.png": png(draw(result))
-        for name, draw in (VALIDATION_PICTURES.items() if _any_scored(result) else ())
-    }
+    drawn = VALIDATION_PICTURES.items() if _any_scored(result) else ()
+    images = picture_files({name: draw(result) for name, draw in drawn})
     settings = json.dumps(context.settings, indent=2, ensure_ascii=False) + "\n"
     document = _html(result, said, context, images)
     files = {SETTINGS_FILE: settings.encode()}
@@ -137,7 +136,7 @@ def _html(
         "the frequency that fits the error with resting winches best, on the axis that swings "
         "most.</p>",
         table(CAUSE_HEADER, cause_rows(result), left=1),
-        *(picture(image, VALIDATION_CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        *pictures(images, VALIDATION_CAPTIONS),
         "<h2>Provenance</h2>",
         definitions({**_provenance(result, context), **made_with()}),
         repeat(context.words),

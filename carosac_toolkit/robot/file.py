@@ -24,6 +24,7 @@ from carosac_toolkit.base.errors import (
 from carosac_toolkit.base.units import InvalidQuantity
 from carosac_toolkit.base.yaml import CHARACTERS_MAX, FieldPath, format_path, read_yaml
 from carosac_toolkit.robot.build import build_robot
+from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.checks import cross_faults
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.schema import Reads, RobotFile
@@ -39,12 +40,6 @@ _SECTION_ORDER = (
     "frame", "platform", "cable_types", "winches", "chains", "tension_limits", "workspace", "home",
     "sensors", "hardware",
 )  # fmt: skip
-
-
-def list_robots() -> tuple[str, ...]:
-    """Name the robots that come with the toolkit, sorted."""
-    names = [entry.name for entry in (files("carosac_toolkit.robot") / "bundled").iterdir()]
-    return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
 
 
 def load_robot(name_or_path: str | Path) -> Robot:

@@ -9,6 +9,7 @@ from carosac_toolkit.trajectories.arcs import circle, spiral
 from carosac_toolkit.trajectories.catalogue import TRAJECTORY_NAMES, build
 from carosac_toolkit.trajectories.draws import random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.moves import line, waypoints
+from carosac_toolkit.trajectories.path_file import from_file
 from carosac_toolkit.trajectories.recorded import from_recording
 from carosac_toolkit.trajectories.snap import minimum_snap
 from carosac_toolkit.trajectories.splines import cubic_spline
@@ -21,6 +22,7 @@ __all__ = [
     "build",
     "circle",
     "cubic_spline",
+    "from_file",
     "from_recording",
     "line",
     "minimum_snap",

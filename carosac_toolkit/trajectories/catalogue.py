@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from carosac_toolkit.trajectories.trajectory import Trajectory
 
 BOX_SHARE = 0.7  # share of the box that circle, spiral and line span
 SPEED_MAX, ACCELERATION_MAX = Scaled(1.0, "m/s"), Scaled(1.0, "m/s^2")
+FAST_MOVE = "fast_move"
+FAST_MOVE_RATIO = 2.0  # of its limits to those of the other paths
 WAYPOINT_REST = Scaled(2.0, "s")  # at each of the waypoints
 
 
@@ -37,8 +40,8 @@ def build(
     Args:
         name: One of `TRAJECTORY_NAMES`.
         robot: Whose box it is.
-        seed: Draws the points of the random ones, the diagonal of the line and the start angle of
-            the others.
+        seed: Draws the points of the random ones, the diagonal of the line, the direction of the
+            fast move and the start angle of the others.
         speed_max: [m/s]; None: as `default_limits`.
         acceleration_max: [m/s^2]; None: likewise.
 
@@ -48,20 +51,26 @@ def build(
     if name not in _TRAJECTORY_BUILDERS:
         raise InvalidField("trajectory", repr(name), f"one of {list(TRAJECTORY_NAMES)}")
     rng = np.random.default_rng(seed)
-    speed, acceleration = default_limits(robot)
+    speed, acceleration = default_limits(robot, name)
     speed = speed if speed_max is None else speed_max
     acceleration = acceleration if acceleration_max is None else acceleration_max
     wanted = _TRAJECTORY_BUILDERS[name](robot, rng, speed, acceleration)
     return onto_rest(robot, wanted).within(robot)
 
 
-def default_limits(robot: Robot) -> tuple[float, float]:
+def default_limits(robot: Robot, name: str | None = None) -> tuple[float, float]:
     """Return speed [m/s] and acceleration [m/s^2] of a path that is not asked to be faster.
 
-    On the robot ``carosac`` they are 1 m/s and 1 m/s^2; other robots take them by their size.
+    On the robot ``carosac`` they are 1 m/s and 1 m/s^2, and twice as much for the path
+    ``fast_move``; other robots take them by their size.
+
+    Args:
+        robot: Robot that follows the path.
+        name: Name of the path; None: any but the fast move.
     """
     ratios = Scales(robot).ratios
-    return SPEED_MAX.of(ratios), ACCELERATION_MAX.of(ratios)
+    ratio = FAST_MOVE_RATIO if name == FAST_MOVE else 1.0
+    return ratio * SPEED_MAX.of(ratios), ratio * ACCELERATION_MAX.of(ratios)
 
 
 def _box(robot: Robot) -> tuple[Array, Array]:
@@ -89,6 +98,16 @@ def _line(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Traject
     return line(middle - reach, middle + reach, speed_max=v, acceleration_max=a)
 
 
+def _fast_move(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    """Cross half of the box on the level, along the shorter side of the frame, to either side."""
+    middle, half = _box(robot)
+    reach = np.zeros(3)
+    across = int(np.ptp(robot.exit_points[:, :2], axis=0).argmin())
+    reach[across] = half[across] / 2 * rng.choice([-1.0, 1.0])
+    move = line(middle - reach, middle + reach, speed_max=v, acceleration_max=a)
+    return replace(move, name=FAST_MOVE)
+
+
 def _circle(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
     middle, half = _box(robot)
     angle = float(rng.uniform(0.0, 2 * np.pi))
@@ -114,6 +133,7 @@ _TRAJECTORY_BUILDERS: dict[
     "cubic_spline": _cubic_spline,
     "waypoints": _waypoints,
     "line": _line,
+    "fast_move": _fast_move,
     "circle": _circle,
     "spiral": _spiral,
 }

@@ -8,6 +8,8 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 
+GRID_SAMPLES_MAX = 200_000  # of all pieces, where these are many and short
+PIECE_SAMPLES_MIN = 8
 PIECE_SAMPLES = 64  # per smooth piece: |v|^2 of a septic polynomial has at most six maxima there
 PEAK_CANDIDATES = 16
 REFINEMENT_ROUNDS = 5
@@ -24,7 +26,8 @@ def highest(measure: Callable[[Array], Array], breaks: Array) -> tuple[float, fl
     Returns:
         The maximum, and the time where it is. A smooth maximum is found to about 1e-12 relative.
     """
-    fraction = np.arange(PIECE_SAMPLES) / PIECE_SAMPLES
+    count = min(PIECE_SAMPLES, max(PIECE_SAMPLES_MIN, GRID_SAMPLES_MAX // (len(breaks) - 1)))
+    fraction = np.arange(count) / count
     grid = breaks[:-1, None] + np.diff(breaks)[:, None] * fraction
     grid = np.append(grid.ravel(), breaks[-1])
     values = measure(grid)

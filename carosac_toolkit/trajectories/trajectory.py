@@ -78,6 +78,12 @@ class Trajectory:
         """Highest norm of the acceleration [m/s^2]."""
         return peak_of_order(self.curve, 2) / self.time_scale**2
 
+    @property
+    def peak_times(self) -> tuple[float, float]:
+        """Times of the highest speed and of the highest acceleration [s]."""
+        speed, acceleration = (_peak(self.curve, order)[1] for order in (1, 2))
+        return speed * self.time_scale, acceleration * self.time_scale
+
     def sample(self, time: ArrayLike) -> TrajectorySamples:
         """Evaluate at any times; outside [0, duration] it is at rest.
 
@@ -152,8 +158,13 @@ def bounds(curve: Curve) -> tuple[list[tuple[float, float]], list[tuple[float, f
 
 def peak_of_order(curve: Curve, order: int) -> float:
     """Return the highest norm of a derivative over nominal time [m/s^order]."""
+    return _peak(curve, order)[0]
+
+
+def _peak(curve: Curve, order: int) -> tuple[float, float]:
+    """Return the highest norm of a derivative [m/s^order], and its nominal time [s]."""
 
     def norm(time: Array) -> Array:
         return np.asarray(np.linalg.norm(curve.derivatives(time)[:, order], axis=1))
 
-    return highest(norm, curve.breaks)[0]
+    return highest(norm, curve.breaks)

@@ -8,7 +8,8 @@ import numpy as np
 
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 
 POINT_RATIO_MAX = 0.02  # of the mean cable length: what a calibration may move points by

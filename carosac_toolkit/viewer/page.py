@@ -10,7 +10,8 @@ import threading
 import time
 from typing import Any
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.admission import Admission
 from carosac_toolkit.viewer.colors import legend_html
@@ -195,15 +196,13 @@ def start_server(host: str, port: int, title: str, admission: Admission) -> Any:
 
     Raises:
         InvalidField: A port that is none, or an address that cannot be listened at.
-        CarosacError: viser is not installed.
+        MissingExtra: viser is not installed.
     """
     if not 1 <= port <= 65535:
         raise InvalidField("--port", str(port), "1 to 65535")
-    try:
-        import viser
-    except ImportError as error:
-        text = f"carosac view needs viser: pip install 'carosac-toolkit[view]' ({error})"
-        raise CarosacError(text) from error
+    require("the viewer", "viser")
+    import viser
+
     try:
         with socket.create_server((host, 0)):
             pass

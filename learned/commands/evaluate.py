@@ -104,7 +104,7 @@ def run(options: Options) -> CommandResult:
     data["pictures"] = draw(scores["policy"], robot, folder)
     SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores).write(folder)
     if protocol == "realtime":
-        data["pictures"] += draw_rmse(scores, folder)
+        data["pictures"] += draw_rmse(scores, robot, folder)
     print(f"pictures, and the scores of all points ({SCORES_FILE}): {folder}")
     return CommandResult(data, status=1 if data["failures"] else 0)
 
@@ -190,25 +190,26 @@ TABLE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 
 def draw(scores: PolicyScores, robot: Robot, folder: Path) -> list[Path]:
     """Draw the paper's pictures, of paths that did not fail."""
+    from carosac_toolkit.pictures.saving import picture_paths
     from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 
     folder.mkdir(parents=True, exist_ok=True)
     if not sound_paths(scores).any():
         return []
-    files = [folder / name for name in ("histograms.png", "violins.png", "paths.png")]
-    draw_histograms(scores, files[0])
-    draw_violins(scores, files[1])
-    draw_paths(scores, robot, files[2])
-    return files
+    figures = {"histograms": draw_histograms, "violins": draw_violins, "paths": draw_paths}
+    for name, function in figures.items():
+        function(scores, robot, folder / name)
+    return [file for name in figures for file in picture_paths(folder / name)]
 
 
-def draw_rmse(scores: dict[str, PolicyScores], folder: Path) -> list[Path]:
+def draw_rmse(scores: dict[str, PolicyScores], robot: Robot, folder: Path) -> list[Path]:
     """Draw the distribution of the RMSE of a path, over paths on which nothing failed."""
-    from learned.pictures.accuracy import rmse_gaussians
+    from carosac_toolkit.pictures.saving import picture_paths
+    from learned.pictures.accuracy import rmse_distribution
 
     sound = np.all([sound_paths(one) for one in scores.values()], axis=0)
     if not sound.any():
         return []
     groups = {name: trajectory_rmse(one)[sound] for name, one in scores.items()}
-    rmse_gaussians(groups, folder / "rmse.png")
-    return [folder / "rmse.png"]
+    rmse_distribution(groups, folder / "rmse", robot=robot)
+    return picture_paths(folder / "rmse")

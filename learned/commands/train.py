@@ -23,7 +23,7 @@ import tyro
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.tables import counted, terminal_width, wrapped
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
+from carosac_toolkit.cli.common import CommandResult, DefaultRobotOptions, OutputFolder
 from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
@@ -41,13 +41,11 @@ RESULTS_FOLDER = Path("carosac-results") / "train"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
+class Options(DefaultRobotOptions):
     """Options of ``carosac train``."""
 
     preset: str = "carosac"
     """Preset of task and method: `paper`, `carosac` or `residual`."""
-    robot: str = "carosac"
-    """A bundled robot or a YAML file."""
     stage: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE")] = ()
     """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in order. A
     later stage starts from the one before it in the same folder."""

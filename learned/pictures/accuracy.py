@@ -13,17 +13,31 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import (
+    draw_ecdf,
+    draw_violin,
+    enlarged_text,
+    enlargement,
+    finish_ecdf,
+    limits_of,
+    line_style,
+    new_figure,
+    number_below,
+    put_legend,
+    rms,
+    set_space,
+    set_title,
+    views,
+)
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
     REST_COLOR,
     SERIES_COLORS,
-    draw_bell,
-    draw_violin,
-    limits_of,
-    new_figure,
-    put_legend,
-    put_patches,
-    set_space,
-    views,
+    SERIES_LINES,
+    SINGLE_COLUMN_INCH,
+    Series,
+    series,
+    styled,
 )
 from carosac_toolkit.robot.robot import Robot
 from learned.pictures.files import save
@@ -39,8 +53,13 @@ OUTLIER_RATIO = 1.5  # times as far as those: the rest is counted, not drawn
 PATHS_DRAWN_MAX = len(SERIES_COLORS)  # paths that can be told apart
 
 
+@styled
 def error_histograms(
-    mean_error: ArrayLike, mean_length_error: ArrayLike, path: str | Path
+    mean_error: ArrayLike,
+    mean_length_error: ArrayLike,
+    path: str | Path,
+    *,
+    robot: Robot | None = None,
 ) -> Figure:
     """Draw how the errors of N trajectories are distributed.
 
@@ -48,49 +67,60 @@ def error_histograms(
         mean_error: Mean distance to the reference over each trajectory [m], shape (N,).
         mean_length_error: Mean absolute length error over each, all cables [m], shape (N,).
         path: Picture file.
+        robot: For the title.
     """
-    figure = new_figure(11.0, 4.4)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 2.8)
     panels = figure.subplots(1, 2)
     errors = {
         "mean position error": batch("mean_error", mean_error, ()),
         "mean |length error|": batch("mean_length_error", mean_length_error, ()),
     }
-    for axes, color, (label, values) in zip(panels, SERIES_COLORS, errors.items(), strict=False):
-        _histogram(axes, MM_PER_M * values, color)
+    for k, (axes, (label, values)) in enumerate(zip(panels, errors.items(), strict=True)):
+        _histogram(axes, MM_PER_M * values, series(k))
         axes.set(xlabel=f"{label} of a trajectory [mm]", ylabel="trajectories [-]")
     count = len(errors["mean position error"])
-    figure.suptitle(f"Errors of {count} trajector{'y' if count == 1 else 'ies'}")
+    words = f"errors of {count} trajector{'y' if count == 1 else 'ies'}"
+    set_title(figure, f"{robot.name}: {words}" if robot is not None else words)
     return save(figure, path)
 
 
-def error_violins(errors: ArrayLike, path: str | Path, *, what: str = "position error") -> Figure:
-    """Draw the distribution of the absolute error along each axis.
+@styled
+def error_violins(
+    errors: ArrayLike,
+    path: str | Path,
+    *,
+    what: str = "position error",
+    robot: Robot | None = None,
+) -> Figure:
+    """Draw the distribution of the signed error along each axis.
 
     Args:
-        errors: Errors in W [m], shape (N, 3); their signs do not matter.
+        errors: Errors in W [m], shape (N, 3).
         path: Picture file.
         what: Of what they are errors.
+        robot: For the title.
     """
-    values = MM_PER_M * np.abs(batch("errors", errors, (3,)))
-    figure = new_figure(6.4, 4.6)
+    values = MM_PER_M * batch("errors", errors, (3,))
+    figure = new_figure(SINGLE_COLUMN_INCH, 2.8)
     axes = figure.subplots()
-    for place, (column, color) in enumerate(zip(values.T, SERIES_COLORS, strict=False)):
-        draw_violin(axes, column, place, color)
-    medians = np.median(values, axis=0)
-    names = [f"{name}\nmedian {median:.1f} mm" for name, median in zip("xyz", medians, strict=True)]
-    axes.set_xticks(range(3), names)
-    top = axes.get_ylim()[1]
-    axes.set(xlim=(-0.6, 2.8), ylim=(-0.02 * top, top), ylabel=f"absolute {what} [mm]")
+    for place, column in enumerate(values.T):
+        draw_violin(axes, column, place, series(place))
+    numbers = {float(place): rms(column) for place, column in enumerate(values.T)}
+    number_below(axes, numbers, "RMSE along x, y and z [mm]")
+    axes.set(xlim=(-0.6, 2.6), ylabel=f"{what} [mm]")
+    axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
     axes.grid(axis="y", alpha=0.25)
     axes.set_axisbelow(True)
-    figure.suptitle(f"{len(values)} samples; bar: RMSE; dot: median")
+    words = f"{what} at {len(values)} samples; marker: mean"
+    set_title(figure, f"{robot.name}: {words}" if robot is not None else words)
     return save(figure, path)
 
 
+@styled
 def sample_paths(
     reference: ArrayLike, reached: ArrayLike, robot: Robot, path: str | Path
 ) -> Figure:
-    """Draw K paths with their references in space, from above and from the side.
+    """Draw K paths with their references in three views, errors enlarged.
 
     Args:
         reference: Wanted positions in W [m], shape (K, T, 3).
@@ -103,8 +133,12 @@ def sample_paths(
     if len(reached_paths) != len(wanted) or len(wanted) > PATHS_DRAWN_MAX:
         allowed = f"as many as references, {PATHS_DRAWN_MAX} at most"
         raise InvalidField("reached", f"{len(reached_paths)} paths for {len(wanted)}", allowed)
-    figure = new_figure(12.0, 7.2)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
+    errors = [got - asked for got, asked in zip(reached_paths, wanted, strict=True)]
+    extent = np.concatenate([*wanted])
+    factor = enlargement(extent, errors)
+    reached_paths = wanted + factor * (reached_paths - wanted)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     limits = limits_of([wanted.reshape(-1, 3), reached_paths.reshape(-1, 3), corners])
@@ -115,44 +149,46 @@ def sample_paths(
         _paths(axes, wanted, reached_paths, robot, pair)
         axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
         axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
-        axes.set_title(title, fontsize=9)
+        axes.set_title(title)
         axes.grid(alpha=0.25)
-    figure.suptitle(f"{robot.name}: paths of the platform origin, one colour each; dot: start")
+    set_title(
+        figure,
+        f"{robot.name}: paths of the platform origin, {enlarged_text(factor)}; dot: start",
+    )
     put_legend(figure, space)
     return save(figure, path)
 
 
-def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
-    """Draw how the RMSE of a trajectory scatters: a normal distribution for each controller.
+@styled
+def rmse_distribution(
+    groups: Mapping[str, ArrayLike], path: str | Path, *, robot: Robot | None = None
+) -> Figure:
+    """Draw which share of the trajectories has at most an RMSE, a curve for each controller.
 
     Args:
         groups: RMSE of each trajectory along each axis of W [m], shape (N, 3), by name.
         path: Picture file.
+        robot: For the title.
     """
     if not 0 < len(groups) <= PATHS_DRAWN_MAX:
         raise InvalidField("groups", len(groups), f"1 to {PATHS_DRAWN_MAX} groups")
-    figure = new_figure(12.0, 4.6)
-    panels = figure.subplots(1, 3)
-    colors = dict(zip(groups, SERIES_COLORS, strict=False))
+    figure = new_figure(DOUBLE_COLUMN_INCH, 2.8)
+    panels = figure.subplots(1, 3, sharey=True)
     for place, (name, errors) in enumerate(groups.items()):
         values = MM_PER_M * batch(name, errors, (3,))
         for axes, column in zip(panels, values.T, strict=True):
-            draw_bell(axes, column, -0.13 * (place + 1), colors[name])
+            draw_ecdf(axes, column, len(column), series(place), name)
     for axes, name in zip(panels, "xyz", strict=True):
-        axes.set_title(name, fontsize=10)
-        end = axes.get_xlim()[1]
-        axes.set(xlabel="RMSE of a trajectory [mm]", xlim=(-0.02 * end, 1.1 * end))
-        axes.set(yticks=[], ylim=(-0.13 * (len(groups) + 0.6), 1.08))
-        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
-        axes.grid(axis="x", alpha=0.25)
-    figure.suptitle(
-        "RMSE per trajectory: its normal distribution, scaled to one height; "
-        "ticks: the trajectories; number: mean ± standard deviation"
-    )
-    put_patches(figure, colors)
+        axes.set_title(name)
+    finish_ecdf(panels, "RMSE of a trajectory [mm]")
+    panels[0].set_ylabel("share of trajectories [-]")
+    words = "share of trajectories with at most this RMSE"
+    set_title(figure, f"{robot.name}: {words}" if robot is not None else words)
+    put_legend(figure, panels[0])
     return save(figure, path)
 
 
+@styled
 def errors_over_time(
     time: ArrayLike,
     errors: Mapping[str, ArrayLike],
@@ -161,11 +197,11 @@ def errors_over_time(
     rests: Sequence[tuple[float, float]] = (),
     marks: Sequence[float] = (),
 ) -> Figure:
-    """Draw the absolute error along each axis over time, with rests shaded.
+    """Draw the signed error along each axis over time, with rests shaded.
 
     Args:
         time: Increasing [s], shape (T,).
-        errors: Errors in W [m], shape (T, 3), by name; their signs do not matter.
+        errors: Errors in W [m], shape (T, 3), by name.
         path: Picture file.
         rests: Start and end of each rest [s].
         marks: Where one trajectory ends and the next begins [s].
@@ -173,38 +209,38 @@ def errors_over_time(
     if not 0 < len(errors) <= PATHS_DRAWN_MAX:
         raise InvalidField("errors", len(errors), f"1 to {PATHS_DRAWN_MAX} of them")
     when = batch("time", time, ())
-    figure = new_figure(12.0, 7.6)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 5.0)
     panels = figure.subplots(3, 1, sharex=True)
-    for (name, series), color in zip(errors.items(), SERIES_COLORS, strict=False):
-        values = MM_PER_M * np.abs(batch(name, series, (3,)))
+    for k, (name, error) in enumerate(errors.items()):
+        values = MM_PER_M * batch(name, error, (3,))
         if len(values) != len(when):
             raise InvalidField(name, f"{len(values)} errors", f"{len(when)}, one for each time")
         for axes, column in zip(panels, values.T, strict=True):
-            axes.plot(when, column, color=color, lw=1.2, label=name)
+            axes.plot(when, column, label=name, **line_style(series(k), len(when), k))
     for axes, name in zip(panels, "xyz", strict=True):
         for k, (first, last) in enumerate(rests):
             label = None if k else "winches at rest"
             axes.axvspan(first, last, color=REST_COLOR, lw=0, zorder=0, label=label)
         for mark in marks:
             axes.axvline(mark, color=MEASURED_COLOR, lw=0.6, ls=":")
-        axes.set(ylabel=f"|error| in {name} [mm]", ylim=(0.0, None))
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
+        axes.set_ylabel(f"error in {name} [mm]")
         axes.margins(x=0.005)
         axes.grid(axis="y", alpha=0.25)
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
-    title = "Absolute position error over time"
-    figure.suptitle(title + ("; dotted: the next trajectory" if len(marks) else ""))
+    title = "Position error over time"
+    set_title(figure, title + ("; dotted: the next trajectory" if len(marks) else ""))
     put_legend(figure, panels[0])
     return save(figure, path)
 
 
-def _histogram(axes: Any, values: Array, color: str) -> None:
+def _histogram(axes: Any, values: Array, look: Series) -> None:
     """Draw a histogram of what is not far away, its median and its 95th percentile."""
     end = OUTLIER_RATIO * float(np.percentile(values, SHOWN_PERCENT))
     shown = values[values <= end] if end > 0.0 else values
-    axes.hist(
-        shown, bins=HISTOGRAM_BINS, range=(0.0, float(shown.max()) or 1.0), color=color, alpha=0.6
-    )
+    ends = (0.0, float(shown.max()) or 1.0)
+    axes.hist(shown, bins=HISTOGRAM_BINS, range=ends, color=look.color, alpha=0.6)
     for style, name, percent in (("-", "median", 50.0), ("--", "95th percentile", 95.0)):
         value = float(np.percentile(values, percent))
         axes.axvline(value, color=MEASURED_COLOR, lw=1.2, ls=style, label=f"{name} {value:.1f} mm")
@@ -212,9 +248,8 @@ def _histogram(axes: Any, values: Array, color: str) -> None:
     if far:
         axes.plot([], [], " ", label=f"not shown: {far}, up to {values.max():.0f} mm")
     axes.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8,
-        handlelength=1.4, columnspacing=1.2,
-    )  # fmt: skip
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, handlelength=1.4, columnspacing=1.2
+    )
     axes.set_xlim(left=0.0)
     axes.grid(axis="y", alpha=0.25)
     axes.set_axisbelow(True)
@@ -234,4 +269,6 @@ def _paths(axes: Any, wanted: Array, paths: Array, robot: Robot, view: tuple[int
         axes.plot(*reference[:1].T, "o", color=MEASURED_COLOR, ms=3.5, zorder=3)
     for k, reached in enumerate(paths[..., columns]):
         label = None if k else "reached"
-        axes.plot(*reached.T, color=SERIES_COLORS[k], lw=1.5, label=label, zorder=2)
+        axes.plot(
+            *reached.T, color=SERIES_COLORS[k], lw=1.2, ls=SERIES_LINES[k], label=label, zorder=2
+        )

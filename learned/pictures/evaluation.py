@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 PATHS_DRAWN = 4  # paths that are drawn
 
 
-def draw_histograms(scores: PolicyScores, path: Path) -> Figure:
+def draw_histograms(scores: PolicyScores, robot: Robot, path: Path) -> Figure:
     """Draw mean position error and mean length error of each path."""
     sound = sound_paths(scores)
     distance, length = trajectory_errors(scores)
-    return error_histograms(distance[sound], length[sound], path)
+    return error_histograms(distance[sound], length[sound], path, robot=robot)
 
 
-def draw_violins(scores: PolicyScores, path: Path) -> Figure:
-    """Draw the absolute error per axis over all points of all paths."""
+def draw_violins(scores: PolicyScores, robot: Robot, path: Path) -> Figure:
+    """Draw the signed error per axis over all points of all paths."""
     sound = sound_paths(scores)
-    return error_violins(scores.error[sound][scores.counted[sound]], path)
+    return error_violins(scores.error[sound][scores.counted[sound]], path, robot=robot)
 
 
 def draw_paths(scores: PolicyScores, robot: Robot, path: Path) -> Figure:

@@ -85,8 +85,10 @@ FIGURES = (
     ),
     PaperFigure(
         place=7, name="error_histograms", command=NO_SAG_COMMAND,
-        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY_SCORES], path),
-                        ("no-sag", "settle", "realtime")),
+        draw=_evaluated(
+            lambda saved, path: draw_histograms(saved.scores[POLICY_SCORES], saved.robot, path),
+            ("no-sag", "settle", "realtime"),
+        ),
         what="mean position and length error over trajectories",
     ),
     PaperFigure(
@@ -99,8 +101,10 @@ FIGURES = (
     ),
     PaperFigure(
         place=9, name="trajectory_violins", command=SETTLE_COMMAND,
-        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY_SCORES], path),
-                        ("settle", "realtime", "no-sag")),
-        what="absolute error per axis over trajectories",
+        draw=_evaluated(
+            lambda saved, path: draw_violins(saved.scores[POLICY_SCORES], saved.robot, path),
+            ("settle", "realtime", "no-sag"),
+        ),
+        what="error per axis over trajectories",
     ),
 )  # fmt: skip

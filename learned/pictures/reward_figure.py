@@ -24,10 +24,10 @@ CURVE_SAMPLES = 401
 DRAWN_TERMS = {
     "step": (step_reward, "distance to the target [m]", 0.2),
     "goal": (goal_reward, "distance to the target [m]", 0.2),
-    "distance": (distance_reward, "distance over the largest in the workspace [-]", 1.0),
-    "sag": (sag_reward, "|length - straight distance|, mean [m]", 2.0),
-    "action_ratio": (action_ratio_reward, "change of length over distance [-]", 5.0),
-    "deviation": (deviation_reward, "|action - straight lengths|, mean [m]", 3.0),
+    "distance": (distance_reward, "distance over the largest [-]", 1.0),
+    "sag": (sag_reward, "mean |length - straight| [m]", 2.0),
+    "action_ratio": (action_ratio_reward, "length change over distance [-]", 5.0),
+    "deviation": (deviation_reward, "mean |action - straight| [m]", 3.0),
 }
 
 

@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import (
+from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_title
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
     SERIES_COLORS,
-    new_figure,
-    put_legend,
+    Series,
+    series,
+    styled,
 )
 from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
 from learned.pictures.files import save
@@ -76,6 +79,7 @@ def curve_of(folder: Path, name: str) -> LearningCurve | None:
     return curve
 
 
+@styled
 def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: str | Path) -> Figure:
     """Draw each term of a reward against its variable.
 
@@ -88,13 +92,13 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
         raise InvalidField("terms", "none", "at least one term")
     columns = 2 if len(terms) == 4 else min(PANEL_COLUMNS, len(terms))
     rows = -(-len(terms) // columns)
-    figure = new_figure(4.0 * columns, 0.5 + 2.8 * rows)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 0.4 + 1.6 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (name, (label, variable, term)) in zip(panels, terms.items(), strict=False):
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         x, y = _pair(label, variable, name, term)
-        axes.plot(x, y, color=SERIES_COLORS[1], lw=1.8)
-        axes.set_title(name, fontsize=10)
+        axes.plot(x, y, color=SERIES_COLORS[0], lw=1.4)
+        axes.set_title(name)
         axes.set_xlabel(label)
         axes.margins(x=0.02, y=0.1)
         axes.grid(alpha=0.25)
@@ -102,10 +106,11 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
         panels[k].set_ylabel("reward [-]")
     for axes in panels[len(terms) :]:
         axes.remove()
-    figure.suptitle("Terms of the reward of one step")
+    set_title(figure, "Terms of the reward of one step")
     return save(figure, path)
 
 
+@styled
 def learning_curves(
     curves: Sequence[LearningCurve], path: str | Path, *, marks: Mapping[str, float] | None = None
 ) -> Figure:
@@ -121,12 +126,12 @@ def learning_curves(
     if not curves:
         raise InvalidField("curves", "none", "at least one curve")
     evaluated = [curve for curve in curves if "median_error" in curve]
-    figure = new_figure(9.0, 7.0 if evaluated else 4.4)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 5.0 if evaluated else 3.2)
     panels = figure.subplots(2 if evaluated else 1, 1, sharex=True, squeeze=False).ravel()
     for k, curve in enumerate(curves):
-        _draw_reward(panels[0], curve, SERIES_COLORS[k % len(SERIES_COLORS)], _name(curve, k))
+        _draw_reward(panels[0], curve, series(k), _name(curve, k))
         if "median_error" in curve:
-            _draw_errors(panels[1], curve, SERIES_COLORS[k % len(SERIES_COLORS)])
+            _draw_errors(panels[1], curve, series(k))
     panels[0].set_ylabel("reward of an episode [-]")
     if evaluated:
         _finish_errors(panels[1], marks or {})
@@ -136,7 +141,7 @@ def learning_curves(
     panels[-1].set_xlabel("environment steps [-]")
     panels[-1].xaxis.set_major_formatter(_thousands)
     figure.align_ylabels(panels)
-    figure.suptitle("Learning curves; " + ";\n".join(_legend(curves)))
+    set_title(figure, "Learning curves", *_legend(curves))
     put_legend(figure, panels[0])
     return save(figure, path)
 
@@ -161,19 +166,20 @@ def smoothed(steps: Array, values: Array, share: float = SMOOTHING_RATIO) -> tup
     return when, mean
 
 
-def _draw_reward(axes: Any, curve: LearningCurve, color: str, label: str) -> None:
+def _draw_reward(axes: Any, curve: LearningCurve, look: Series, label: str) -> None:
     """Draw the reward of one training."""
+    line = {"color": look.color, "ls": look.line, "label": label, "ms": 3.5, "zorder": 2}
     steps, reward = _pair("steps", curve["steps"], "reward", curve["reward"])
     if curve.get("averaged", False):
-        axes.plot(steps, reward, color=color, lw=1.5, marker="o", ms=3.5, label=label, zorder=2)
+        axes.plot(steps, reward, marker=look.marker, **line)
         return
     axes.plot(
-        steps, reward, color=color, ls="none", marker=".", ms=3.5, mew=0.0, alpha=0.3, zorder=1,
-        rasterized=True,
+        steps, reward, color=look.color, ls="none", marker=".", ms=3.5, mew=0.0, alpha=0.3,
+        zorder=1, rasterized=True,
     )  # fmt: skip
     when, mean = smoothed(steps, reward)
     alone = "o" if len(when) == 1 else ""
-    axes.plot(when, mean, color=color, lw=1.8, marker=alone, ms=3.5, label=label, zorder=2)
+    axes.plot(when, mean, lw=1.4, marker=alone, **line)
 
 
 def _legend(curves: Sequence[LearningCurve]) -> list[str]:
@@ -190,13 +196,14 @@ def _legend(curves: Sequence[LearningCurve]) -> list[str]:
     return lines
 
 
-def _draw_errors(axes: Any, curve: LearningCurve, color: str) -> None:
+def _draw_errors(axes: Any, curve: LearningCurve, look: Series) -> None:
     """Draw the evaluations of one training."""
     if "evaluated_steps" not in curve:
         raise InvalidField("evaluated_steps", "none", "the steps of each median_error")
     when, what = curve["evaluated_steps"], curve["median_error"]
     steps, error = _pair("evaluated_steps", when, "median_error", what)
-    axes.plot(steps, MM_PER_M * error, color=color, lw=1.5, marker="o", ms=3.5)
+    line = {"color": look.color, "ls": look.line, "marker": look.marker, "ms": 3.5}
+    axes.plot(steps, MM_PER_M * error, **line)
 
 
 def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
@@ -209,7 +216,7 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
         axes.annotate(
             f"{name}: {MM_PER_M * mark:g} mm", (0.0, MM_PER_M * mark),
             xycoords=axes.get_yaxis_transform(),
-            xytext=(5, 3), textcoords="offset points", fontsize=8,
+            xytext=(5, 3), textcoords="offset points", fontsize=7,
         )  # fmt: skip
     if len(drawn) and drawn.min() > 0.0 and drawn.max() > LOG_AXIS_RATIO * drawn.min():
         axes.set_yscale("log")

@@ -5,6 +5,7 @@ import pytest
 
 from carosac_toolkit.cli.arguments import parse_options
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.loop.plugins import load
 
 
 @pytest.mark.parametrize(
@@ -14,12 +15,30 @@ from carosac_toolkit.cli.main import main
         (["robots", "--seed=1.5"], "--seed: got '1.5'; allowed: a whole number"),
         (["validate", "x", "--stop", "y"], "--stop: got 'y'; allowed: a whole number"),
         (["robots", "--json"], "--json: got nothing; allowed: a value; see 'carosac robots"),
-        (["check"], "ROBOT: got nothing; allowed: a value; see 'carosac check --help'"),
+        (["check"], "ROBOT: got nothing; allowed: a robot, as ROBOT or --robot ROBOT"),
+        (["check", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot; "
+         "the argument is 'scampi'"),
+        (["view", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot"),
+        (["view"], "WHAT: got nothing; allowed: a robot, a recording or a study's folder"),
         (["check", "a", "b"], "argument: got 'b'; allowed: nothing more"),
         (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed; "
          "did you mean '--seed'?"),
-        (["check", "x", "--robot", "y"], "option: got '--robot'; allowed: --help, --json, --seed, "
-         "--picture"),
+        (["check", "x", "--robts", "y"], "option: got '--robts'; allowed: --help, --json, --seed, "
+         "--robot, --picture; did you mean '--robot'?"),
+        (["workspace", "carosac", "--cells", "9"], "did you mean '--points' or '--slice-points'?"),
+        (["robots", "--zzz"], "allowed: --help, --json, --seed"),
+        (["workspace", "carosac", "--lower", "1", "2"], "--lower: got '1 2'; allowed: X Y Z"),
+        (["view", "scampy"], "or a study's folder; did you mean 'scampi'?"),
+        (["run", "--sensors", "lenghts"], "--sensors: got 'lenghts'; allowed: one of ['lengths'"),
+        (["run", "--output", "x.csv"], "--output: got 'x.csv'; allowed: a file name ending in"),
+        (["run", "--to", "9", "9", "9"], "allowed: (-1.6, -3.8, 1) to (2.4, 0.2, 5) m"),
+        (["compare", "--trajectories"], "trajectories: got none; allowed: one or more different"),
+        (["compare", "--scheduler", "foo"], "address of a running dask scheduler"),
+        (["compare", "--suites", "lengths"], "--suites is now --sensors"),
+        (["run", "--suite", "lengths"], "--suite is now --sensors"),
+        (["run", "--suite=lengths"], "--suite is now --sensors"),
+        (["view", "carosac", "--live", "--suite", "lengths"], "--suite is now --sensors"),
+        (["compare", "--suite", "lengths"], "sensors are chosen with --sensors"),
         (["chek"], "command: got 'chek'; allowed: calibrate lengths, "),
         (["chek"], "did you mean 'check'?"),
         (["robot:s"], "command: got 'robot:s'"),
@@ -44,6 +63,19 @@ def test_help_is_in_words(capsys, command):
     assert "(default: none)" in text
     if command == "validate":
         assert "--robot TEXT" in text and "--stop INT" in text
+
+
+def test_a_robot_is_named_with_or_without_the_option():
+    module = load("commands", "check")
+    for words in (["scampi"], ["--robot", "scampi"], ["scampi", "--robot", "scampi"]):
+        assert parse_options(module, "check", words).robot == "scampi"
+    for command in ("run", "plc", "train"):
+        module = load("commands", command)
+        assert parse_options(module, command, []).robot == "carosac"
+        assert parse_options(module, command, ["scampi"]).robot == "scampi"
+        assert parse_options(module, command, ["--robot", "scampi"]).robot == "scampi"
+    compare = load("commands", "compare")
+    assert parse_options(compare, "compare", ["--robot", "scampi"]).robots == ("scampi",)
 
 
 def test_numbers_are_read(capsys):

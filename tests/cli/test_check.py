@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.robot.file import list_robots, parse_robot, robot_text
+from carosac_toolkit.robot.bundled_names import list_robots
+from carosac_toolkit.robot.file import parse_robot, robot_text
 from carosac_toolkit.robot.writer import robot_document
 
 

@@ -1,15 +1,19 @@
 import json
 import os
+from html import escape
 from pathlib import Path
 
 import pytest
 
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.pictures import animation
 from carosac_toolkit.studies import read_rows
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
 
-FAST = ["--trajectories", "line", "--speed", "2.5", "--acceleration", "2.5", "--seeds", "1"]
+TWO = ["--controllers", "straight_line", "kinematic_solver", "--sensors", "lengths"]
+FAST = ["--trajectories", "line", "--speed", "2.5", "--acceleration", "2.5", "--seeds", "1",
+        "--estimators", "kinematic_solver"]  # fmt: skip
 ALONE = [*FAST, "--workers", "0"]
 PACKAGE = "somebodys_controllers"
 SOURCE = """
@@ -78,13 +82,14 @@ def names(folder="."):
 
 def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     words = ["--trajectories", "line", "circle", "--speed", "2.5", "--acceleration", "2.5"]
-    words = [*words, "--seeds", "1", "--workers", "0", "--output", "out", "--json", "x.json"]
+    words += [*TWO, "--estimators", "kinematic_solver", "--seeds", "1", "--workers", "0"]
+    words += ["--output", "out", "--json", "x.json"]
     assert main(["compare", *words]) == 0
     data = json.loads(Path("x.json").read_text())
     assert data["cases"] == 4
     assert [line["controller"] for line in data["summary"]] == ["straight_line", "kinematic_solver"]
     for line in data["summary"]:
-        assert line["estimator"] == "kinematic_solver" and line["suite"] == "lengths"
+        assert line["estimator"] == "kinematic_solver" and line["sensors"] == "lengths"
         assert line["robot"] == "carosac" and line["reasons"] == {}
         for key in ("tracking_rmse_m", "estimation_rmse_m"):
             assert set(line[key]) == {"x", "y", "z", "norm"}
@@ -97,9 +102,11 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     for line in data["summary"]:
         assert f"{line['tracking_rmse_m']['norm'] * 1e3:.1f}" in out
     assert max(map(len, out.splitlines())) <= 80
-    assert "tension: least to largest of any cable, allowed are 5 to 500 N" in " ".join(out.split())
+    assert "tension: of any cable, allowed 5 to 500 N" in " ".join(out.split())
     assert len([line for line in out.splitlines() if line.startswith("----")]) == 1  # one table
-    assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
+    assert 2 <= len(data["headlines"]) <= 3
+    assert all(f"* {line}" in " ".join(out.split()) for line in data["headlines"])
+    assert len(out.splitlines()) <= 22
     kinds = {path.suffix for path in Path("out").iterdir()}
     assert {".parquet", ".png", ".html", ".json", ".md", ".tex"} <= kinds
     block = data["paired"][0]
@@ -109,6 +116,7 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     report = Path("out/report.html").read_text()
     assert "against straight_line" in report and f"{pair['ratio']['value']:.2f}" in report
     assert "--trajectories line circle" in report
+    assert all(escape(line, quote=False) in report for line in data["conclusions"])
 
 
 def test_broken_controllers_cost_their_own_cases_and_say_why(capsys):
@@ -215,9 +223,43 @@ def test_estimators_are_compared(capsys):
 def test_the_quick_preset_is_a_part_of_the_whole():
     from carosac_toolkit.cli.compare import Options, _study
 
-    quick, whole = (_study(Options(quick=flag)).cases() for flag in (True, False))
-    assert len(quick) == 20 and set(quick) < set(whole)
-    assert len(_study(Options(quick=True, seeds=3)).cases()) == 30
+    quick, whole = (_study(Options(quick=flag))[0].cases() for flag in (True, False))
+    assert len(quick) == 10 and set(quick) < set(whole)
+    assert len(_study(Options(quick=True, seeds=3))[0].cases()) == 15
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_the_default_study_is_one_table_with_tensions_and_sway_and_an_animation(
+    capsys, monkeypatch
+):
+    monkeypatch.setattr(animation, "FRAMES_PER_SECOND", 1)
+    words = ["--seeds", "1", "--workers", "0", "--output", "o", "--animation", "kinematic_solver"]
+    assert main(["compare", *words, "mpc", "td3", "--json", "x.json"]) == 0
+    out = capsys.readouterr().out
+    head = next(line for line in out.splitlines() if line.startswith("controller"))
+    assert all(name in head for name in ("track", "sway", "tension", "slack", "limit", "cases"))
+    assert len(out.splitlines()) <= 22 and max(map(len, out.splitlines())) <= 80
+    assert "report and animation.webp: o/report.html" in out
+    data = json.loads(Path("x.json").read_text())
+    lines = {line["controller"]: line for line in data["summary"]}
+    assert list(lines) == ["straight_line", "kinematic_solver", "input_shaping", "mpc", "td3"]
+    errors = {name: line["tracking_rmse_m"]["norm"] for name, line in lines.items()}
+    assert errors["mpc"] < 0.05 * errors["kinematic_solver"]
+    assert errors["td3"] < 0.15 * errors["kinematic_solver"]
+    assert lines["mpc"]["residual_sway_m"] < 0.03 * lines["kinematic_solver"]["residual_sway_m"]
+    assert lines["mpc"]["slack_share"] == lines["mpc"]["limited_share"] == 0.0
+    assert len(data["headlines"]) == 3
+    assert Path("o/animation.webp").stat().st_size < 3e6
+
+
+@pytest.mark.usefixtures("blank_pictures")
+def test_a_controller_that_is_left_out_is_told(capsys):
+    words = ["--robot", "desktop", "--seeds", "1", "--workers", "0", "--json", "x.json"]
+    main(["compare", *words])
+    assert "td3 is left out. robot: got 'desktop'; allowed: a robot with a bundled policy" in (
+        " ".join(capsys.readouterr().out.split())
+    )
+    assert len(json.loads(Path("x.json").read_text())["summary"]) == 4
 
 
 @pytest.mark.parametrize(
@@ -232,7 +274,8 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--estimators", "kinematic_solvr"], "did you mean 'kinematic_solver'"),
         (["--estimator", "json:loads"], "a class with build("),
         (["--set", "gain=1"], "--set: got 'gain=1'; allowed: controller.NAME.FIELD=VALUE"),
-        (["--set", "controller.mpc.gain=1"], "with a NAME of ['straight_line', 'kinematic"),
+        (["--set", "controller.mpc.gain=1"], "controller_settings of mpc: got 'gain'"),
+        (["--set", "controller.slow.gain=1"], "with a NAME of ['straight_line', 'kinematic"),
         (["--set", "controller.kinematic_solver.gian=1"], "did you mean 'gain'"),
         (["--set", "controller.kinematic_solver.gain=-1"], "gain: got -1 1/s"),
         (
@@ -243,8 +286,9 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
         (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
         (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
-        (["--suites", "lenghts"], "suite: got 'lenghts'"),
-        (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
+        (["--estimators", "truthh"], "did you mean 'truth'?"),
+        (["--sensors", "lenghts"], "sensors: got 'lenghts'"),
+        (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
         (["--robot", "carosak"], "did you mean 'carosac'"),
@@ -266,6 +310,7 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--output", "a_file/below"], "a_file is a file"),
         (["--json", "no/such/x.json"], "--json: got"),
         (["--quik"], "did you mean '--quick'"),
+        (["--animation", "mcp"], "--animation: got 'mcp'; allowed: of the study"),
     ],
 )
 def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(words, message, capsys):
@@ -278,3 +323,52 @@ def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(words, m
     assert message in captured.err.replace('"', "'")
     assert captured.out == ""
     assert names() == before
+
+
+PATH_ROWS = "0,0.4,-1.8,2.2\n1,0.6,-1.8,2.2\n2,0.4,-1.8,2.2\n"
+PATH_HEADER = "time_s,position_x_m,position_y_m,position_z_m\n"
+
+
+def test_a_path_of_the_user_is_run_and_its_study_viewed_from_anywhere(
+    tmp_path, monkeypatch, capsys
+):
+    Path("paths").mkdir()
+    Path("paths/mine.csv").write_text(PATH_HEADER + PATH_ROWS)
+    words = ["compare", "--trajectories", "paths/mine.csv", "--seeds", "2", "--workers", "0"]
+    words += ["--controllers", "kinematic_solver", "--driver", "quasi_static", "--output", "out"]
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "paths/mine.csv as fast as the file says, 2 seeds, in all 2 cases" in " ".join(
+        out.split()
+    )
+    (copy,) = Path("out/trajectories").iterdir()
+    assert copy.name.startswith("mine-") and copy.read_text() == PATH_HEADER + PATH_ROWS
+    assert f"trajectories/{copy.name}" in Path("out/report.html").read_text()
+    rows = read_rows("out")
+    assert {row["trajectory"] for row in rows} == {"paths/mine.csv"}
+    assert not {"speed_max", "acceleration_max"} & set(json.loads(rows[0]["settings"]))
+    Path("elsewhere").mkdir()
+    Path("paths/mine.csv").unlink()
+    monkeypatch.chdir("elsewhere")
+    assert main(["view", "../out", "--html", "run.html"]) == 0
+
+    monkeypatch.chdir("..")
+    Path("paths/mine.csv").write_text(PATH_HEADER + PATH_ROWS.replace("0.6", "0.7"))
+    assert main(words) == 2  # another path under the same name is another study
+    assert "holds another study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["high.csv"], "high.csv: z at 2.000 s: got 6.0000 m; allowed: 1 m to 5 m, the box of"),
+        (["none.csv"], "none.csv: no such file; a trajectory is a .csv, or a recording"),
+        (["high.csv", "--speed", "2"], "speed_max: got 2.0 m/s; allowed: none: all trajectories"),
+        (["circel"], "or ./FOLDER with one; did you mean 'circle'?"),
+    ],
+)
+def test_bad_paths_are_refused_before_any_work(words, message, capsys):
+    Path("high.csv").write_text(f"{PATH_HEADER}0,0.4,-1.8,2.2\n2,0.4,-1.8,6\n")
+    assert main(["compare", "--output", "out", "--trajectories", *words]) == 2
+    assert message in capsys.readouterr().err
+    assert names() == ["high.csv"]

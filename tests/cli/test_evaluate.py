@@ -29,7 +29,8 @@ def evaluated(folder, capsys, *words):
     out = ["--output", str(folder / "pictures"), "--json", str(folder / "e.json")]
     status = main(["evaluate", *words, *out])
     data = json.loads((folder / "e.json").read_text())
-    files = sorted(path.name for path in (folder / "pictures").glob("*.png"))
+    ends = (".png", ".svg", ".pdf")
+    files = sorted(x.name for x in (folder / "pictures").iterdir() if x.suffix in ends)
     assert {"scores.npz", "robot.npz"} <= {x.name for x in (folder / "pictures").iterdir()}
     assert sorted(path.rpartition("/")[2] for path in data["pictures"]) == files
     return status, data, capsys.readouterr().out

@@ -124,3 +124,48 @@ def test_a_disk_that_is_full_is_one_message(mine):
         with replacing(mine.parent / "x.json"):
             raise OSError(28, "No space left on device")
     assert os.listdir() == ["h.yaml"]
+
+
+FOLDER_COMMANDS = [
+    ["compare", "--quick", "--output"],
+    ["compare", "--suite", "reference", "--output"],
+    ["validate", "synthetic", "--output"],
+    ["workspace", "carosac", "--output"],
+    ["evaluate", "carosac-no-sag", "--output"],
+    ["train", "--output"],
+    ["figures", "--output"],
+    ["identify", "synthetic", "--report"],
+    ["smooth", "synthetic", "--report"],
+    ["calibrate", "lengths", "synthetic", "--report"],
+]
+
+
+@pytest.mark.parametrize("words", FOLDER_COMMANDS, ids=lambda words: " ".join(words))
+def test_a_folder_of_others_is_refused_and_left_as_it_was(mine, capsys, words):
+    os.mkdir("theirs")
+    for name in ("a.txt", "report.html", "study.json", "positions.csv", "settings.json"):
+        Path("theirs", name).write_text("not ours")
+    error = refused(capsys, [*words, "theirs"])
+    assert (
+        f"{words[-1]}: got 'theirs'; allowed: a new or empty folder, or one with results" in error
+    )
+    assert "holds a.txt, positions.csv, report.html and 2 more" in error
+    assert {path.read_text() for path in Path("theirs").iterdir()} == {"not ours"}
+    assert sorted(os.listdir()) == ["h.yaml", "theirs"]
+
+
+def test_a_folder_with_results_of_ours_is_taken_again(mine):
+    os.mkdir("out")
+    Path("out/.DS_Store").write_text("hidden files are of nobody")
+    words = ["workspace", "carosac", "--points", "30", "--slice-points", "9", "--no-pictures"]
+    for table in ("csv", "parquet", "csv"):
+        assert main([*words, "--table", table, "--output", "out"]) == 0
+    Path("out/notes.txt").write_text("mine")
+    assert main([*words, "--output", "out"]) == 0
+    assert Path("out/notes.txt").read_text() == "mine"
+
+
+def test_a_reference_suite_that_was_interrupted_is_ours(mine):
+    os.makedirs("out/tracking-carosac")
+    Path("out/tracking-carosac/study.json").write_text('{"schema": "carosac-study/1"}')
+    check_outputs(FutureOptions(results=Path("out")))

@@ -37,7 +37,7 @@ QUICK = (PATIENT[0], "driver.guard.hang_time=0.8", PATIENT[2])  # where it is to
 
 def words(tmp_path, *more, settings=PATIENT):
     chosen = [word for setting in settings for word in ("--set", setting)]
-    files = ["--recording", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
+    files = ["--output", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
     return ["run", "--rate", "25", *files, *chosen, *more]
 
 
@@ -307,7 +307,7 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
         (("--duration", "-3"), "--duration: got -3.0; allowed: > 0, finite"),
-        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
+        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: (-1.6, -3.8, 1) to"),
         (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
         (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):

@@ -139,6 +139,7 @@ def test_nor_through_a_link(run_file, capsys):
     Path("run/smoothed.parquet").symlink_to(copied.resolve())
     Path("hard").mkdir()
     Path("hard/estimate.png").hardlink_to(copied)
+    Path("hard/report.html").write_text("carosac")  # a folder of ours
     for folder in ("run", "hard"):
         assert main(words(copied, "--report", folder)) == 2
         assert "RECORDING is read from this file" in capsys.readouterr().err

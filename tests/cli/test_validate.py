@@ -47,10 +47,11 @@ def test_the_contract_of_the_json_and_the_files(short, capsys):
                 assert set(model[part][key]) == {"x", "y", "z", "norm"}
         assert model["orientation_rmse_rad"] > 0.0 and model["length_rmse_m"] > 0.0
         assert model["error"] is None and model["failures"] == 0
-    assert names("out") == [
-        "error_violins.png", "length_errors.png", "paths.png", "report.html",
-        "report_settings.json", "samples.npz", "time_series.png",
-    ]  # fmt: skip
+    pictures = ("error_violins", "length_errors", "paths", "time_series")
+    assert set(names("out")) == {
+        "report.html", "report_settings.json", "samples.npz",
+        *(f"{name}.{end}" for name in pictures for end in ("png", "svg", "pdf")),
+    }  # fmt: skip
     out = capsys.readouterr().out
     for model in data["models"].values():
         assert f"{model['rmse_m']['norm'] * 1e3:.1f}" in out
@@ -63,7 +64,9 @@ def test_the_report_stands_alone_and_says_where_it_comes_from(short):
     assert main(["validate", str(short), "--output", "out", "--seed", "4"]) == 0
     text = Path("out/report.html").read_text()
     assert len(re.findall('src="data:image/png;base64,', text)) == 4
-    assert not re.findall(r'(?:src|href)="(?!data:)', text) and "url(" not in text
+    assert not re.findall(r'src="(?!data:)', text) and "url(" not in text
+    links = re.findall(r'href="([^"]*)"', text)
+    assert len(links) == 8 and all((Path("out") / link).is_file() for link in links)
     for word in ("SYNTHETIC", "Apache-2.0", "seed", "--seed 4", "--robot carosac", ct.__version__):
         assert word in text
     assert "kinematic_solver" in text and "resting" in text
@@ -71,10 +74,9 @@ def test_the_report_stands_alone_and_says_where_it_comes_from(short):
 
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_second_call_replaces_the_report_and_leaves_other_files(short):
-    Path("out").mkdir()
-    Path("out/mine.txt").write_text("keep")
     for models in (["straight_line"], ["kinematic_solver"]):
         assert main(["validate", str(short), "--output", "out", "--models", *models]) == 0
+        Path("out/mine.txt").write_text("keep")
     assert Path("out/mine.txt").read_text() == "keep"
     assert "straight_line" not in Path("out/report.html").read_text()
     assert not [name for name in names(".") if name.startswith(".")]
@@ -292,8 +294,10 @@ def test_the_bundled_recording_shows_delay_and_sway():
 
 def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "out" / "report.html").mkdir(parents=True)
+    (tmp_path / "out" / "report_settings.json").write_text("carosac")  # a folder of ours
     words = ["synthetic", "--stop", "90", "--models", "straight_line"]
     status = main(["validate", *words, "--output", str(tmp_path / "out")])
     assert status == 2
     assert "no folder named report.html in it" in capsys.readouterr().err
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]
+    found = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert found == ["report.html", "report_settings.json"]

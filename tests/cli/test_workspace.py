@@ -20,9 +20,12 @@ def test_pictures_are_drawn(tmp_path):
     status, out = run(tmp_path, "cogiro", *words)
     assert status == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {"slices.png", "space.png", "maps_z_2.png", "positions.csv"}
-    for name in names - {"positions.csv"}:
-        assert (out / name).read_bytes().startswith(b"\x89PNG")
+    ends = ("png", "svg", "pdf")
+    pictures = {f"{name}.{end}" for name in ("slices", "space", "maps_z_2") for end in ends}
+    assert names == {*pictures, "positions.csv"}
+    begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+    for name in pictures:
+        assert (out / name).read_bytes().startswith(begins[name.rpartition(".")[2]])
 
 
 def test_table_numbers_and_words(tmp_path, capsys):
@@ -84,6 +87,7 @@ def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
     [
         (["carosac", "--rpy-deg", "0,0,0"], "4 cables of carosac leave the orientation free"),
         (["cogiro", "--rpy-deg", "0;0"], "ROLL,PITCH,YAW in degrees"),
+        (["carosac", "--slice", "z=99"], "'z=99'; allowed: z=1 to z=5 m, the box searched"),
         (["carosac", "--slice", "q=1"], "x=, y= or z= with a number"),
         (["carosac", "--lower", "0", "0", "0"], "--lower and --upper go together"),
         (["carosac", "--lower", "0", "0", "3", "--upper", "1", "1", "2"], "below --upper"),

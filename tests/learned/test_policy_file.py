@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.base.extras import MissingExtra
+from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.differences import differing
-from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.file import load_robot
 from learned.environment import EnvironmentSettings
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.policy_probe import make_probe
@@ -160,11 +162,12 @@ def test_a_policy_loads_and_acts_without_what_trained_it(file):
     assert loaded & {"torch", "stable_baselines3", "onnx", "gymnasium", "matplotlib"} == set()
 
 
-@pytest.mark.parametrize("package, name", [("onnx", "onnx"), ("runtime", "onnxruntime")])
-def test_a_missing_package_says_how_to_install_it(file, monkeypatch, package, name):
+@pytest.mark.parametrize(("name", "extra"), [("onnx", "learn"), ("onnxruntime", "control")])
+def test_a_missing_package_says_how_to_install_it(file, monkeypatch, name, extra):
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(CarosacError, match=rf"needs {name}: pip install 'carosac-toolkit\[learn\]"):
-        if package == "onnx":
+    message = rf"not installed: {name}\): pip install 'carosac-toolkit\[{extra}\]'"
+    with pytest.raises(MissingExtra, match=message):
+        if name == "onnx":
             write_policy(file, perceptron()[1], "relu", described())
         else:
             Policy.load(file)

@@ -136,7 +136,7 @@ def study(*texts, **changes):
     names = {"controllers": ["kinematic_solver"], "estimators": ["dynamic_estimator", "ks_ekf"]}
     names |= changes
     return Study(
-        robots=["carosac"], trajectories=["line"], suites=["lengths"],
+        robots=["carosac"], trajectories=["line"], sensors=["lengths"],
         driver="simulator", **names, **chosen_settings(texts, **names),
     )  # fmt: skip
 

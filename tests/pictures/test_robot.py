@@ -46,6 +46,7 @@ def test_a_tilted_platform_is_drawn_where_it_is():
     turned = Rotation.from_rotvec([0.1, -0.2, 0.1]).as_matrix()
     report = report_robot(replace(robot, home_rotation=turned))
     lines = draw_robot(report).axes[1].lines
-    anchors = robot.home_position + robot.anchor_points @ turned.T
+    factor = 2  # as the legend says
+    anchors = robot.home_position + factor * robot.anchor_points @ turned.T
     drawn = [line.get_xydata() for line in lines if line.get_xydata().shape == (8, 2)]
     assert any(np.allclose(points, anchors[:, :2]) for points in drawn)

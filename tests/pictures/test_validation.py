@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.pictures.drawing import SERIES_COLORS
+from carosac_toolkit.pictures.style import SERIES_COLORS
 from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 from carosac_toolkit.validation import validate
 from tests.validation.models import NAME
@@ -98,4 +98,4 @@ def test_an_error_of_zero_stands_clear_of_the_axis():
     exact = replace(exact, models={"ks": replace(model, pose=pose)})
     for axes in VALIDATION_PICTURES["error_violins"](exact).axes:
         assert axes.get_ylim()[0] < 0.0
-        assert [text.get_text() for text in axes.texts] == ["0.0"]
+        assert [label.get_text() for label in axes.get_xticklabels()] == ["0"]

@@ -7,8 +7,9 @@ import pytest
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.yaml import load_yaml
+from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.differences import differing
-from carosac_toolkit.robot.file import list_robots, parse_robot, robot_text
+from carosac_toolkit.robot.file import parse_robot, robot_text
 from carosac_toolkit.robot.writer import robot_document
 
 SOURCE = "calibrated on a Sunday"

@@ -14,7 +14,7 @@ import numpy as np
 
 from carosac_toolkit.studies import Case, product
 
-NAMES = {"robots": ["carosac"], "estimators": ["truth"], "suites": ["lengths"],
+NAMES = {"robots": ["carosac"], "estimators": ["truth"], "sensors": ["lengths"],
          "trajectories": ["circle"], "perturbations": ["nominal-1"]}  # fmt: skip
 
 

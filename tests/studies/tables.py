@@ -17,7 +17,7 @@ SETTINGS = {"driver": "quasi_static", "speed_max": 1.0}
 
 
 def case(controller: str, seed: int = 0, trajectory: str = "circle", **other: Any) -> Case:
-    names = {"robot": "carosac", "estimator": "truth", "suite": "lengths"} | other
+    names = {"robot": "carosac", "estimator": "truth", "sensors": "lengths"} | other
     return Case(
         controller=controller, seed=seed, trajectory=trajectory, settings=SETTINGS,
         **{"perturbation": "none"} | names,
@@ -42,13 +42,21 @@ def bad(which: Case, reason: str, status: Any = "failed") -> Row:
     return make_row(which, status, wall_time=1.0, reason=reason)
 
 
+def diverged(which: Case, scale: float) -> Row:
+    """A case that ran to its end, off by so much [m] that it has no score."""
+    row = good(which, (scale, scale, scale), series=series(scale))
+    return row | {"status": "diverged", "reason": "it was lost"}
+
+
 def series(scale: float, rest: bool = True) -> str:
     """A course of 60 s on a circle, the last fifth at rest."""
     time = np.linspace(0.0, 60.0, 250)
     angle = np.minimum(time, 48.0 if rest else 60.0) / 8.0
     reference = np.column_stack([np.cos(angle), np.sin(angle), 2.0 + 0.02 * angle])
     position = reference + scale * np.column_stack([np.sin(3 * angle), np.cos(angle), angle / 9])
+    belief = position + 0.5 * scale * np.column_stack([np.sin(angle), np.cos(angle), 0.0 * angle])
     channels = {"time_s": time, "reference_m": reference, "position_m": position}
+    channels["belief_m"] = belief
     return json.dumps({name: np.round(x, 6).tolist() for name, x in channels.items()})
 
 

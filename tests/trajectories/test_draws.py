@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.trajectories import TRAJECTORY_NAMES, build, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.draws import draw_points
 from tests.robots import eight_cable_robot, simple_robot
@@ -55,6 +56,19 @@ def test_the_catalogue_fits_any_box(name, robot):
         np.testing.assert_array_equal(
             trajectory.sample(time).position, repeated.sample(time).position
         )
+
+
+def test_the_fast_move_crosses_half_of_the_box_along_the_short_side_of_the_frame():
+    robot = load_robot("carosac")  # 4.5 m x 13.2 m
+    ends = set()
+    for seed in range(6):
+        move = build("fast_move", robot, seed)
+        start, end = move.sample([0.0, move.duration]).position
+        np.testing.assert_allclose((start + end) / 2, [0.4, -1.8, 3.0], atol=1e-12)
+        np.testing.assert_allclose(np.abs(end - start), [2.0, 0.0, 0.0], atol=1e-12)
+        assert move.peak_acceleration == pytest.approx(2.0, rel=1e-2)
+        ends.add(round(float(end[0]), 6))
+    assert ends == {1.4, -0.6}  # to either side
 
 
 def test_an_unknown_name_is_refused():

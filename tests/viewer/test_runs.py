@@ -62,7 +62,7 @@ def test_the_file_of_a_run_is_played_as_its_estimator_believed(way, tmp_path):
 
 def test_cases_of_a_study_are_played_as_the_plant_moved(tmp_path):
     fields = {
-        "robot": "carosac", "suite": "lengths", "estimator": "kinematic_solver",
+        "robot": "carosac", "sensors": "lengths", "estimator": "kinematic_solver",
         "trajectory": "line", "perturbation": "nominal-1",
         "settings": {"driver": "quasi_static", "speed_max": 3.0, "acceleration_max": 6.0},
     }  # fmt: skip
@@ -91,7 +91,7 @@ def test_cases_of_a_study_are_played_as_the_plant_moved(tmp_path):
 
 def row_of(case):
     """What stands in a row beside the scores."""
-    names = ("robot", "suite", "controller", "estimator", "trajectory", "perturbation", "seed")
+    names = ("robot", "sensors", "controller", "estimator", "trajectory", "perturbation", "seed")
     return {"case": case.identity, "status": "ok"} | {x: getattr(case, x) for x in names}
 
 

@@ -38,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.rest import distribution_kernels
@@ -174,6 +175,7 @@ class TensionDistributor:
             arm: Lever arm that makes moments comparable with forces [m]; None: the largest of a
                 cable at each call.
         """
+        require("TensionDistributor", "osqp")
         check_distribution(distribution)
         self._lower = per_cable("tension_min", tension_min, 1, n)[0]
         self._upper = per_cable("tension_max", tension_max, 1, n)[0]

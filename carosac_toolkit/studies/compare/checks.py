@@ -26,11 +26,11 @@ def check_positive(name: str, value: Any, unit: str) -> None:
         raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
 
 
-def check_known(field: str, names: Any, allowed: Sequence[str]) -> None:
-    """Refuse names that are not in a list."""
+def check_known(field: str, names: Any, allowed: Sequence[str], *, more: str = "") -> None:
+    """Refuse names that are not in a list; `more` says what else is allowed."""
     for name in names:
         if name not in allowed:
-            choices = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            choices = f"one of {list(allowed)}{more}{did_you_mean(name, allowed)}"
             raise InvalidField(field, repr(name), choices)
 
 
@@ -45,6 +45,11 @@ def find_plugin(kind: Any, name: str) -> Any:
         raise InvalidField(kind[:-1], repr(name), "NAME, or NAME@LABEL with a label")
     try:
         plugin = plugins.load(kind, plugin_name(name))
+    except InvalidField as error:
+        if kind != "estimators":
+            raise
+        allowed = f"'truth' of a simulated driver, {error.allowed}{did_you_mean(name, ['truth'])}"
+        raise InvalidField(error.field, error.value, allowed) from error
     except CarosacError:
         raise
     except Exception as error:
@@ -56,16 +61,19 @@ def find_plugin(kind: Any, name: str) -> Any:
     return plugin
 
 
-def check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
-    """Refuse sensor suites that the driver does not have."""
+def check_sensors(driver: Any, name: str, sensors: Sequence[str]) -> None:
+    """Refuse sensors that the driver does not have."""
     kinds = getattr(driver, "Settings", None)
-    has_suites = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
-    for suite in suites:
-        if not has_suites and suite != "lengths":
+    has_choice = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
+    for suite in sensors:
+        if not has_choice and suite != "lengths":
             allowed = f"'lengths': driver {name} has no choice of sensors"
-            raise InvalidField("suite", repr(suite), allowed)
-        if has_suites:
-            replace(kinds(), suite=suite)  # type: ignore[misc]
+            raise InvalidField("sensors", repr(suite), allowed)
+        if has_choice:
+            try:
+                replace(kinds(), suite=suite)  # type: ignore[misc]
+            except InvalidField as error:
+                raise InvalidField("sensors", error.value, error.allowed) from error
 
 
 def check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:

@@ -12,7 +12,6 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.studies.compare.results import scored, tracked
 from carosac_toolkit.studies.run.rows import Row
 
-MM_PER_M = 1e3
 REST_SPEED_MAX_M_S = 5e-3  # [m/s]: slower references count as rest
 REST_DURATION_MIN_S = 0.3  # [s]: shorter ones are the beginning of a motion
 
@@ -23,15 +22,17 @@ class Example:
 
     Attributes:
         trajectory: Its name.
-        title: Robot, trajectory and seed.
+        seed: Its draw of plant, path and noise.
+        diverged: True if the case diverged, so that its errors are no score.
         time: From the start [s], shape (S,).
         reference: Platform origin asked for in W [m], shape (S, 3).
         position: True platform origin in W [m], shape (S, 3).
-        belief: Believed platform origin in W [m], shape (S, 3); None where it was not kept.
+        belief: Estimated platform origin in W [m], shape (S, 3); None where it was not kept.
     """
 
     trajectory: str
-    title: str
+    seed: int
+    diverged: bool
     time: Array
     reference: Array
     position: Array
@@ -39,14 +40,14 @@ class Example:
 
     @property
     def error(self) -> Array:
-        """Absolute tracking error per axis and in norm [mm], shape (S, 4)."""
-        return _absolute(self.position - self.reference)
+        """Position minus reference, signed, and its norm [m], shape (S, 4)."""
+        return _with_norm(self.position - self.reference)
 
     @property
     def estimation_error(self) -> Array:
-        """Absolute estimation error per axis and in norm [mm], shape (S, 4), where it was kept."""
+        """Estimate minus position, signed, and its norm [m], shape (S, 4), where it was kept."""
         assert self.belief is not None
-        return _absolute(self.belief - self.position)
+        return _with_norm(self.belief - self.position)
 
     def rests(self) -> list[tuple[float, float]]:
         """Start and end of each rest of the reference [s]."""
@@ -62,15 +63,21 @@ def examples_of(rows: Sequence[Row]) -> list[Example]:
     return [example for row in tracked(rows) if (example := _example(row)) is not None]
 
 
+def curves_of(rows: Sequence[Row]) -> list[Example]:
+    """Return the tracking cases whose time series was kept, also those that diverged."""
+    ran = [row for row in rows if row.get("tracking_rmse_norm_m") is not None]
+    return [example for row in ran if (example := _example(row)) is not None]
+
+
 def estimates_of(rows: Sequence[Row]) -> list[Example]:
     """Return the cases whose estimates were kept, also those that track nothing."""
     examples = (_example(row) for row in scored(rows))
     return [one for one in examples if one is not None and one.belief is not None]
 
 
-def _absolute(error: Array) -> Array:
-    """Return an error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
-    return MM_PER_M * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+def _with_norm(error: Array) -> Array:
+    """Return errors along the axes, shape (S, 3), and their norm, shape (S, 4)."""
+    return np.column_stack([error, np.linalg.norm(error, axis=1)])
 
 
 def _example(row: Row) -> Example | None:
@@ -82,7 +89,8 @@ def _example(row: Row) -> Example | None:
         return None
     return Example(
         trajectory=str(row["trajectory"]),
-        title=f"{row['robot']}, {row['trajectory']}, seed {row['seed']}",
+        seed=int(row["seed"] or 0),
+        diverged=row["status"] == "diverged",
         time=np.array(series["time_s"]),
         reference=np.array(series["reference_m"]),
         position=np.array(series["position_m"]),

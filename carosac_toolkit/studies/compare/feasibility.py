@@ -130,7 +130,7 @@ def _judge(name: str, kind: str, robot: Robot, paths: list[Trajectory]) -> PathF
 
 def slowest_stop(robot: Robot, path: Trajectory) -> _Stop:
     """Return what limits a path most, and how much faster or slower it may be run at most."""
-    time = np.linspace(0.0, path.duration, PATH_SAMPLES)
+    time = np.union1d(np.linspace(0.0, path.duration, PATH_SAMPLES), path.peak_times)
     return min(
         (*_winch_stops(robot, path, time), _tension_stop(robot, path, time)),
         key=lambda stop: stop.scale,

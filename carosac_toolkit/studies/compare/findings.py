@@ -53,14 +53,24 @@ ESTIMATION_QUANTITY = _ComparedError(
 
 def conclusions(results: StudyResults) -> list[str]:
     """State who estimates and tracks best and by how much, over shared cases."""
+    sentences = [
+        where + text
+        for where, members in blocks_of(results)
+        for text in _of_block(results, members)
+    ]
+    return sentences + _notes(results)
+
+
+def blocks_of(results: StudyResults) -> list[tuple[str, list[int]]]:
+    """Return the groups of the first robots and conditions, each with what to say before it."""
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
-    sentences = []
-    for names, members in list(blocks.items())[:BLOCKS_MAX]:
-        where = f"On {names[0]}, {names[1]}: " if len(blocks) > 1 else ""
-        sentences += [where + text for text in _of_block(results, members)]
-    return sentences + _notes(results)
+    several = len(blocks) > 1
+    return [
+        (f"On {robot}, {condition}: " if several else "", members)
+        for (robot, condition), members in list(blocks.items())[:BLOCKS_MAX]
+    ]
 
 
 def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
@@ -81,10 +91,31 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     ]
     if len(spread) == 2:
         yield (f"From case to case the RMSE has a standard deviation of {spread[0]}, {spread[1]}.")
+    sway = sway_sentence(results, members)
+    if sway:
+        yield sway
+
+
+def sway_sentence(results: StudyResults, members: Sequence[int]) -> str | None:
+    """Say how much the platform swings after the end under the best and the last controller."""
+    errors = TRACKING_QUANTITY.errors(results, members)
+    ranked = sorted(errors, key=lambda k: errors[k])
+    if len(ranked) < 2 or errors[ranked[-1]] <= EQUAL_RATIO_MAX * errors[ranked[0]]:
+        return None
+    labels = results.labels_of(COMPARED_COLUMNS)
     sway = {k: results.summary[k]["residual_sway_m"] for k in (ranked[0], ranked[-1])}
-    if all(size is not None and size > SWAY_MIN_M for size in sway.values()):
-        swings = " and ".join(f"{say_length(size)} after {labels[k]}" for k, size in sway.items())
-        yield f"At the end the platform still swings: by {swings} (RMS)."
+    if any(size is None or size <= SWAY_MIN_M for size in sway.values()):
+        return None
+    swings = " and ".join(f"{say_length(size)} after {labels[k]}" for k, size in sway.items())
+    return f"At the end the platform still swings: by {swings} (RMS)."
+
+
+def extremes(results: StudyResults, members: Sequence[int], what: _ComparedError) -> Iterator[str]:
+    """Compare the best group with the last one, without those between."""
+    errors = what.errors(results, members)
+    ranked = sorted(errors, key=lambda k: errors[k])
+    if ranked:
+        yield from _compared(results, [ranked[0], ranked[-1]][: len(ranked)], what)
 
 
 def _compared(results: StudyResults, members: list[int], what: _ComparedError) -> Iterator[str]:
@@ -173,7 +204,7 @@ def _believer(results: StudyResults, group: int) -> str:
     """Name the estimator of a group, and how it differs from the other groups."""
     line = results.summary[group]
     label = str(line["estimator"])
-    for name, word in (("controller", "under"), ("suite", "on")):
+    for name, word in (("controller", "under"), ("sensors", "with")):
         if len({other[name] for other in results.summary}) > 1:
             label += f" {word} {line[name]}"
     return label

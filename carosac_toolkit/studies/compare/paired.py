@@ -30,7 +30,7 @@ class Compared:
 
     Attributes:
         label: Label that distinguishes it from the others.
-        names: Controller, estimator and suite.
+        names: Controller, estimator and sensors.
         cases: Number of cases run.
         failures: Number of these without a score.
         typical: Typical value of each error over the cases [m].
@@ -118,12 +118,12 @@ def check_baseline(baseline: str, labels: Sequence[str]) -> None:
 
 
 def ways_of(
-    controllers: Sequence[str], estimators: Sequence[str], suites: Sequence[str]
+    controllers: Sequence[str], estimators: Sequence[str], sensors: Sequence[str]
 ) -> list[str]:
     """Return the labels that the groups of a study will have."""
     lines = [
         dict(zip(COMPARED_COLUMNS, (c, e, s), strict=True))
-        for c in controllers for e in estimators for s in suites
+        for c in controllers for e in estimators for s in sensors
     ]  # fmt: skip
     return labels_by(COMPARED_COLUMNS, lines)
 

@@ -32,8 +32,8 @@ from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
-COMPARED_COLUMNS = ("controller", "estimator", "suite")  # what is compared
-GROUP_COLUMNS = ("robot", "controller", "estimator", "suite", "perturbation")
+COMPARED_COLUMNS = ("controller", "estimator", "sensors")  # what is compared
+GROUP_COLUMNS = ("robot", "controller", "estimator", "sensors", "perturbation")
 PAIR_COLUMNS = (
     "trajectory",
     "seed",
@@ -59,7 +59,7 @@ class StudyResults:
 
     @cached_property
     def groups(self) -> list[list[Row]]:
-        """Rows of each robot, controller, estimator, suite and perturbation, in order."""
+        """Rows of each robot, controller, estimator, sensors and perturbation, in order."""
         by_group: dict[tuple[Any, ...], list[Row]] = {}
         for row in self.rows:
             by_group.setdefault(tuple(row[name] for name in GROUP_COLUMNS), []).append(row)

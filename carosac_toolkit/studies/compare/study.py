@@ -13,6 +13,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.physics.kernel_modules import compile_kernels
 from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import DEFAULT_CONDITION
@@ -20,19 +21,26 @@ from carosac_toolkit.studies.compare.checks import (
     RECORDED_TRAJECTORY,
     check_known,
     check_positive,
+    check_sensors,
     check_settings,
-    check_suites,
     check_truth,
     find_plugin,
+)
+from carosac_toolkit.studies.compare.defaults import (
+    DEFAULT_SEEDS,
+    DEFAULT_TRAJECTORIES,
+    QUICK_SEEDS,
+    default_choice,
+    default_controllers,
 )
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
-from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
+from carosac_toolkit.studies.run.cluster import default_workers, remote_client
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import check_statuses, free_folder
-from carosac_toolkit.studies.run.robot_copies import copy_robots
+from carosac_toolkit.studies.run.robot_copies import copy_paths, copy_robots
 from carosac_toolkit.studies.run.run_case import (
     CASE_DRIVER_SETTINGS,
     DEFAULT_DRIVER,
@@ -41,16 +49,12 @@ from carosac_toolkit.studies.run.run_case import (
     robot_of,
 )
 from carosac_toolkit.trajectories.catalogue import default_limits
+from carosac_toolkit.trajectories.path_file import is_path_file, path_digest
 
 CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
 BATCH_FUNCTION = "carosac_toolkit.studies.run.run_together:run_together"
 DEFAULT_STUDY_FOLDER = Path("carosac-results") / "compare"
-DEFAULT_SEEDS = 10
-QUICK_SEEDS = 2
-DEFAULT_CONTROLLERS = ("straight_line", "kinematic_solver")
-DEFAULT_ESTIMATORS = ("kinematic_solver",)
-DEFAULT_TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
 SEEDS_ALLOWED = "a whole number, 1 or more, or a list of seeds"
 
 
@@ -63,17 +67,24 @@ class Study:
 
     Attributes:
         robots: Bundled names, or paths of robot files.
-        controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``.
-        estimators: The same; ``truth`` is what a simulated driver knows.
-        suites: Sensor suites that the driver has.
-        trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`; on the
-            driver `replay` all of these are ``recorded`` instead, the path of the recording.
+        controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``. None:
+            on the driver ``simulator`` ``straight_line``, ``kinematic_solver``, ``input_shaping``,
+            ``mpc`` and, where the robots have a bundled policy, ``td3``; on other drivers the first
+            two.
+        estimators: The same; ``truth`` is what a simulated driver knows. None:
+            ``dynamic_estimator`` on the driver ``simulator``, ``kinematic_solver`` on others.
+        sensors: Sensors that measure, such as ``lengths+imu``; the driver must have them. None:
+            ``lengths+imu`` on the driver ``simulator``, ``lengths`` on others.
+        trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`, or files,
+            see `carosac_toolkit.trajectories.from_file`, whose speeds are their own; on the driver
+            `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from: names, or paths of YAML files.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, ``module:Class``, or class.
-        speed_max: Of the trajectories [m/s]; None: 1 m/s on the robot ``carosac``, and as
-            `carosac_toolkit.trajectories.catalogue.default_limits` says for others.
-        acceleration_max: Of the trajectories [m/s^2]; None: 1 m/s^2, likewise.
+        speed_max: Of the trajectories [m/s]; None: on the robot ``carosac`` 1 m/s, 2 m/s for
+            ``fast_move``, and as `carosac_toolkit.trajectories.catalogue.default_limits` says for
+            others.
+        acceleration_max: Of the trajectories [m/s^2]; None: 1 m/s^2, or 2 m/s^2, likewise.
         controller_settings: By the name or class of a controller, fields of its own settings.
         estimator_settings: By the name or class of an estimator, fields of its own settings.
         driver_settings: Fields of the driver's own settings.
@@ -90,9 +101,9 @@ class Study:
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[Any] = DEFAULT_CONTROLLERS
-    estimators: Sequence[Any] = DEFAULT_ESTIMATORS
-    suites: Sequence[str] = ("lengths",)
+    controllers: Sequence[Any] = None  # type: ignore[assignment]  # filled in as the next two
+    estimators: Sequence[Any] = None  # type: ignore[assignment]
+    sensors: Sequence[str] = None  # type: ignore[assignment]
     trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
     perturbations: Sequence[str] = (DEFAULT_CONDITION,)
     seeds: int | Sequence[int] = DEFAULT_SEEDS
@@ -110,7 +121,15 @@ class Study:
     batch: int = 1
 
     def __post_init__(self) -> None:
-        """Turn lists into tuples and classes into names; refuse a string instead of a list."""
+        """Fill in defaults, turn lists into tuples and classes into names; refuse a string."""
+        usual = default_choice(self.driver)
+        for name in ("estimators", "sensors"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(usual, name))
+        if self.controllers is None and not isinstance(self.robots, str):
+            object.__setattr__(
+                self, "controllers", default_controllers(self.driver, self.robots)[0]
+            )
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
@@ -164,6 +183,11 @@ class Study:
             with remote_client(self.scheduler):
                 pass
 
+    def prepare(self) -> None:
+        """Compile all kernels before several processes of this machine need them."""
+        if self.scheduler is None and self.workers != 0:
+            compile_kernels()
+
     @cached_property
     def feasibility(self) -> tuple[PathFeasibility, ...]:
         """Feasibility of the paths with the tensions and winches of each robot, before any run."""
@@ -187,15 +211,21 @@ class Study:
             CarosacError: As `check` and `run_cases`.
         """
         self.check()
+        self.prepare()
         folder = self.folder()
         judged = self.feasibility
         rows = run_cases(
             self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
             workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
             batching=self._batching(), progress=progress,
-            begun=lambda: copy_robots(folder, self.robots),
+            begun=lambda: self._copy_inputs(folder),
         )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
+
+    def _copy_inputs(self, folder: Path) -> None:
+        """Copy the files that the study reads into its folder."""
+        copy_robots(folder, self.robots)
+        copy_paths(folder, [name for name in self.trajectories if is_path_file(name)])
 
     def _batching(self) -> Batching | None:
         """Return how cases run together."""
@@ -207,10 +237,11 @@ class Study:
         """Return the number of workers; user code runs in this process only on request.
 
         A plug-in of the user may hang or end its process, which must cost its own cases only.
+        Without the packages of worker processes there is no choice.
         """
         outside = any(":" in name for name in (*self.controllers, *self.estimators, self.driver))
         if self.workers is None and self.scheduler is None and outside:
-            return usable_cores()
+            return default_workers()
         return self.workers
 
     def _settings(self) -> dict[str, Any]:
@@ -226,7 +257,7 @@ class Study:
     def _settings_of(self, case: Case) -> dict[str, Any]:
         """Return the settings of one case, with those of its controller and estimator."""
         digest = robot_digest(case.robot)
-        speed, acceleration = default_limits(robot_of(case.robot, digest))
+        speed, acceleration = default_limits(robot_of(case.robot, digest), case.trajectory)
         settings = dict(case.settings) | {
             "robot_digest": digest,
             "speed_max": speed if self.speed_max is None else float(self.speed_max),
@@ -234,6 +265,10 @@ class Study:
                 acceleration if self.acceleration_max is None else float(self.acceleration_max)
             ),
         }
+        path = path_digest(case.trajectory)
+        if path is not None:  # its speeds are those of the file
+            del settings["speed_max"], settings["acceleration_max"]
+            settings["trajectory_digest"] = path
         condition = condition_digest(case.perturbation)
         if condition is not None:
             settings["condition_digest"] = condition
@@ -244,7 +279,7 @@ class Study:
         return settings
 
 
-STUDY_AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+STUDY_AXES = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
 
 
 def _check(study: Study) -> None:
@@ -256,23 +291,18 @@ def _check(study: Study) -> None:
     for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
         if getattr(study, name) is not None:
             check_positive(name, getattr(study, name), unit)
+    driver = find_plugin("drivers", study.driver)
+    _check_trajectories(study, replayed=replays(driver))
     study.cases()
     _check_execution(study)
     for robot in study.robots:
         load_robot(robot)
-    driver = find_plugin("drivers", study.driver)
-    paths = (
-        (RECORDED_TRAJECTORY, *trajectories.TRAJECTORY_NAMES)
-        if replays(driver)
-        else trajectories.TRAJECTORY_NAMES
-    )
-    check_known("trajectory", study.trajectories, paths)
     for name in study.perturbations:
         find_condition(name)
     own = own_settings(study.driver, study.driver_settings)
     for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
         raise InvalidField(f"driver_settings.{name}", repr(own[name]), "none: each case sets it")
-    check_suites(driver, study.driver, study.suites)
+    check_sensors(driver, study.driver, study.sensors)
     check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
         names = getattr(study, kind)
@@ -284,6 +314,24 @@ def _check(study: Study) -> None:
                 continue
             plugin = find_plugin(kind, name)
             check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+
+
+def _check_trajectories(study: Study, *, replayed: bool) -> None:
+    """Refuse trajectories that are not there, or files that a robot cannot follow."""
+    names = trajectories.TRAJECTORY_NAMES
+    files = [] if replayed else [name for name in study.trajectories if is_path_file(name)]
+    drawn = [name for name in study.trajectories if name not in files]
+    check_known(
+        "trajectory", drawn, (RECORDED_TRAJECTORY, *names) if replayed else names,
+        more="" if replayed else ", or a file: .csv, a recording, or ./FOLDER with one",
+    )  # fmt: skip
+    for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
+        if getattr(study, name) is not None and files and not drawn:
+            allowed = "none: all trajectories are files, which have their own"
+            raise InvalidField(name, f"{getattr(study, name)} {unit}", allowed)
+    for name in files:
+        for robot in study.robots:
+            trajectories.from_file(name, robot_of(robot, robot_digest(robot)))
 
 
 def _check_execution(study: Study) -> None:

@@ -14,8 +14,10 @@ from carosac_toolkit.studies.compare.results import (
 )
 from carosac_toolkit.studies.compare.terminal_table import main_limit, percent, short_name
 from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.trajectories.path_file import is_path_file
 
 LIMITED_SHARE_MIN = 0.01  # of the commands: fewer are not worth a sentence
+GRAVE_LIMITED_SHARE_MIN = 0.1  # of the commands: fewer can be seen in the table
 SLACK_SHARE_MIN = 0.001  # of the time; tensions count from here on
 FALLBACK_SHARE_MIN = 0.01  # of the commands
 SAME_TOLERANCE = 1e-9  # relative: numbers that differ by less are the same
@@ -27,18 +29,23 @@ ADVICE = {
         "behind, plus the delay of its encoder: raise driver.limits.jump_max above that (--set "
         "driver.limits.jump_max=METRES), or go slower"
     ),
-    "speed": "a winch cannot wind as fast as asked: lower --speed, or raise its speed_max",
-    "acceleration": (
-        "a winch cannot accelerate as asked: lower --acceleration, or raise its acceleration_max"
-    ),
-    "jerk": "the acceleration of a cable changed too fast: lower --acceleration, or raise "
-    "driver.limits.jerk_max",
+    "speed": "a winch cannot wind as fast as asked: {slower}, or raise its speed_max",
+    "acceleration": "a winch cannot accelerate as asked: {gentler}, or raise its acceleration_max",
+    "jerk": "the acceleration of a cable changed too fast: {gentler}, lower the gains of the "
+    "controller, or raise driver.limits.jerk_max",
     "length": "a cable would be shorter or longer than its winch allows: check length_min and "
     "length_max in the robot file",
     "box": "the platform would leave the workspace box of the robot file",
-    "length_rate": "the feed-forward rate was above the speed of a winch: lower --speed",
+    "length_rate": "the feed-forward rate was above the speed of a winch: {slower}",
     "coordination": "cables were held back to stay with the others",
 }
+WINCH_LIMITS = ("speed", "acceleration", "length_rate")  # which `path_feasibility` judges too
+CORRECTIONS_ADVICE = (
+    "the paths alone stay within the limits of the winches, so slower paths help little. What is "
+    "too fast is what is added to them: the step onto the controller's own model, corrections of "
+    "errors, damping of sway or noise of the estimate"
+)
+SLACK_SHARE_LASTING = 0.5  # of the time: slack from more than fast motion
 
 
 def surprises(results: StudyResults) -> list[str]:
@@ -47,6 +54,18 @@ def surprises(results: StudyResults) -> list[str]:
         *_diverged(results),
         *_limited(results),
         *_tensions(results),
+        *_outside(results),
+        *_moved(results),
+        *_fallbacks(results),
+        *_identical(results),
+    ]
+
+
+def grave_surprises(results: StudyResults) -> list[str]:
+    """Return those that the table and `headlines` do not tell, the gravest first."""
+    return [
+        *_diverged(results),
+        *_limited(results, GRAVE_LIMITED_SHARE_MIN),
         *_outside(results),
         *_moved(results),
         *_fallbacks(results),
@@ -80,24 +99,39 @@ def _diverged(results: StudyResults) -> Iterator[str]:
         )
 
 
-def _limited(results: StudyResults) -> Iterator[str]:
+def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterator[str]:
     """Tell whose commands were limited, by what, and what to do, once for each limit."""
     by_limit: dict[str, list[tuple[str, dict[str, Any]]]] = {}
-    for label, line in _lines(
-        results, lambda line: (line["limited_share"] or 0.0) > LIMITED_SHARE_MIN
-    ):
+    for label, line in _lines(results, lambda line: (line["limited_share"] or 0.0) > least):
         name = main_limit(line)
         if name is not None:
             by_limit.setdefault(name, []).append((label, line))
     for name, members in by_limit.items():
         each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
         reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
-        advice = ADVICE.get(name, "see driver.limits").format(reach=f"{reach:.2g}")
+        advice = _advice(results, name, members).format(reach=f"{reach:.2g}")
         yield (
             f"Commands were changed by limits before they reached the winches, mostly by {name} "
             f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
             "controller."
         )
+
+
+def _advice(results: StudyResults, name: str, members: Sequence[tuple[str, dict[str, Any]]]) -> str:
+    """Say why a limit was met and what helps; slower paths do not where these are feasible."""
+    robots = {str(line["robot"]) for _, line in members}
+    judged = [one for one in results.feasibility if one.robot in robots]
+    if name in WINCH_LIMITS and judged and not any(one.infeasible for one in judged):
+        return CORRECTIONS_ADVICE
+    drawn = any(not is_path_file(str(row["trajectory"])) for row in results.rows)
+    words = {
+        "slower": "lower --speed" if drawn else "slow the path down",
+        "gentler": "lower --acceleration" if drawn else "smooth or slow the path down",
+    }
+    advice = ADVICE.get(name, "see driver.limits")
+    for key, text in words.items():
+        advice = advice.replace(f"{{{key}}}", text)
+    return advice
 
 
 def _tensions(results: StudyResults) -> Iterator[str]:
@@ -108,12 +142,9 @@ def _tensions(results: StudyResults) -> Iterator[str]:
     )  # fmt: skip
     if slack:
         low = _limits(results, "tension_limit_low_N", "slack_share")
-        held = any((x["limited_share"] or 0.0) > LIMITED_SHARE_MIN for x in results.summary)
-        first = "see to the limited commands first, then " if held else ""
         yield (
             f"Cables went slack, below tension_min ({low} N): {'; '.join(slack)}. A slack cable "
-            f"does not guide the platform: {first}go slower, or keep farther from the edge of the "
-            "workspace."
+            f"does not guide the platform: {_slack_advice(results)}."
         )
     over = _times(
         results, "overload_share", SLACK_SHARE_MIN,
@@ -122,6 +153,19 @@ def _tensions(results: StudyResults) -> Iterator[str]:
     if over:
         high = _limits(results, "tension_limit_high_N", "overload_share")
         yield f"Cables were overloaded, above tension_max ({high} N): {'; '.join(over)}."
+
+
+def _slack_advice(results: StudyResults) -> str:
+    """Say what keeps cables taut."""
+    if any((line["slack_share"] or 0.0) > SLACK_SHARE_LASTING for line in results.summary):
+        return (
+            "slack for most of the time does not come from speed. See whether errors of encoders "
+            "and points (driver.sensors, --condition) are large for a robot of this size, and "
+            "whether carosac check finds tensions within the limits"
+        )
+    held = any((line["limited_share"] or 0.0) > LIMITED_SHARE_MIN for line in results.summary)
+    first = "see to the limited commands first, then " if held else ""
+    return f"{first}go slower, or keep farther from the edge of the workspace"
 
 
 def _times(
@@ -203,8 +247,8 @@ def _possible_reason(results: StudyResults, members: Sequence[int]) -> str:
     varies = [
         name for name in COMPARED_COLUMNS if len({results.summary[j][name] for j in members}) > 1
     ]
-    if varies == ["suite"]:
-        return "neither controller nor estimator uses the sensors by which these suites differ"
+    if varies == ["sensors"]:
+        return "neither controller nor estimator uses the sensors that differ"
     if varies == ["estimator"]:
         return "these estimators do the same for this robot and these sensors"
     return "these controllers send the same commands to this robot"

@@ -92,7 +92,7 @@ def failures(results: StudyResults) -> list[str]:
 
 def _names(results: StudyResults) -> list[str]:
     """Return the names that every row shows, and those that vary."""
-    always = ["controller", "estimator", "suite"]
+    always = ["controller", "estimator", "sensors"]
     several = [
         name
         for name in ("robot", "perturbation")

@@ -1,6 +1,7 @@
 """One table of a study for the terminal: errors, tensions, limits, and cases without a score.
 
-Columns that do not fit are left out, never names: the report has all of them.
+Where it does not fit, titles and limits are abbreviated first, then columns are left out, which the
+report has; names are never cut.
 """
 
 from __future__ import annotations
@@ -9,14 +10,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from carosac_toolkit.base.tables import aligned
+from carosac_toolkit.base.tables import aligned, wrapped
+from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
 from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
 Line = dict[str, Any]
 WHOLE_MM_MIN = 1000.0  # from here on without a decimal
-TWO_DIGITS_MAX_N = 10.0  # below it a tension has two digits, else no decimals
+ONE_DECIMAL_MAX_N = 10.0  # below it a tension has a decimal, else none
 OWN_LINE_INDENT = "  "
+SHORT_TITLES = {
+    "tracking": "track", "estimate": "estim.", "tension [N]": "tension", "limited": "limit",
+    "cycle [ms]": "cycle",
+}  # fmt: skip
+SHORT_LIMITS = {"acceleration": "acc.", "coordination": "coord.", "length_rate": "rate"}
 
 
 class _Column(NamedTuple):
@@ -34,14 +41,19 @@ class _Column(NamedTuple):
     rank: int
     words: str
 
+    def abbreviated(self) -> _Column:
+        """Return the column with a short title, and short names of limits in it."""
+        cell = _limited_in_short if self.cell is limited else self.cell
+        return self._replace(title=SHORT_TITLES.get(self.title, self.title), cell=cell)
+
 
 def terminal_table(results: StudyResults, width: int) -> str:
     """Format one table, as wide as names need, with the notes on its rows.
 
     Args:
         results: Results of the study.
-        width: Columns are left out until the table fits; where names leave no room, they stand on
-            lines of their own.
+        width: Titles are abbreviated and columns left out until the table fits; where names leave
+            no room, they stand on lines of their own.
     """
     names, columns = shown_names(results), _fitting(results, width)
     cells = [[c.cell(line) for c in columns] for line in results.summary]
@@ -55,19 +67,23 @@ def terminal_table(results: StudyResults, width: int) -> str:
         first, *others = aligned(titles, cells, 0).splitlines()
         lines = [" / ".join(labels), OWN_LINE_INDENT + first, OWN_LINE_INDENT + others[0]]
         for row, numbers in zip(rows, others[1:], strict=True):
-            lines += [" / ".join(row), OWN_LINE_INDENT + numbers]
+            lines += [wrapped(" / ".join(row), width), OWN_LINE_INDENT + numbers]
         table = "\n".join(lines)
     notes = [f"[{k}] {text}" for k, text in enumerate(remarks(results), start=1)]
     return "\n".join([table, *notes])
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns that `terminal_table` shows, and name what all rows have in common."""
+    """Explain the columns shown, and name estimator and sensors of all rows."""
     titles = {title for title, _ in shown_names(results)}
-    shared = [f"{name} {_short(name, results)[0]}" for name in GROUP_COLUMNS if name not in titles]
-    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in _fitting(results, width))
+    shared = [
+        f"{name} {_short(name, results)[0]}" for name in ("estimator", "sensors")
+        if name not in titles
+    ]  # fmt: skip
+    explained = [c for c in _fitting(results, width) if c.words]
+    words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in explained)
     start = f"All rows: {', '.join(shared)}. " if shared else ""
-    return f"{start}{words[0].upper()}{words[1:]}. The report has all other numbers."
+    return f"{start}{words[0].upper()}{words[1:]}."
 
 
 def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
@@ -99,18 +115,20 @@ def _short(name: str, results: StudyResults) -> list[str]:
 
 
 def short_name(text: str) -> str:
-    """Return the stem of a robot file, the class of ``module:Class``, or the name itself."""
-    if text.lower().endswith((".yaml", ".yml")):
-        return Path(text).stem
+    """Return the stem of a file, the class of ``module:Class``, or the name itself."""
+    path = Path(text)
+    if path.suffix.lower() in (".yaml", ".yml", *READERS_BY_SUFFIX) or "/" in text:
+        return path.stem
     return text.rpartition(":")[2] or text
 
 
 def _fitting(results: StudyResults, width: int) -> list[_Column]:
     """Return the columns that fit beside the names; where none does, those beneath them."""
-    names, columns = shown_names(results), _columns(results)
-    least = [c for c in columns if c.rank == 0]
-    if _width(names, results.summary, least) > width:  # names stand on lines of their own
-        names, width = [], width - len(OWN_LINE_INDENT)
+    names, whole = shown_names(results), _columns(results)
+    short = [c.abbreviated() for c in whole]
+    if _width(names, results.summary, [c for c in short if c.rank == 0]) > width:
+        names, width = [], width - len(OWN_LINE_INDENT)  # names stand on lines of their own
+    columns = whole if _width(names, results.summary, whole) <= width else short
     while _width(names, results.summary, columns) > width:
         last = max(c.rank for c in columns)
         if last == 0:
@@ -133,21 +151,23 @@ def _columns(results: StudyResults) -> list[_Column]:
     limits = {(line["tension_limit_low_N"], line["tension_limit_high_N"])
               for line in results.summary}  # fmt: skip
     low, high = next(iter(limits)) if len(limits) == 1 else (None, None)
-    allowed = "" if low is None else f", allowed are {low:g} to {high:g} N"
+    allowed = " [N]" if low is None else f", allowed {low:g} to {high:g} N"
+    lost = "diverged or failed ones have no score" if any(map(_lost, results.summary)) else ""
+    several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
         _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
-                "RMSE of the platform position [mm]"),
-        _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2,
-                "RMS swing after the end [mm]"),
-        _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]), 1,
-                "RMSE of the estimated position [mm]"),
+                "RMSE [mm]"),
+        _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
+                "RMS after the end [mm]"),
+        _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
+                1 if several else 2, "RMSE of the estimate [mm]"),
         _Column("NEES", _nees, 3, "consistency of the covariance, 1 is right, + overconfident"),
-        _Column("tension [N]", tension_range, 0, f"least to largest of any cable{allowed}"),
+        _Column("tension [N]", tension_range, 0, f"of any cable{allowed}"),
         _Column("slack", lambda x: percent(x["slack_share"]), 0,
-                "share of time with a cable below tension_min"),
-        _Column("limited", limited, 0, "share of commands that a limit changed, and which one"),
-        _Column("cases", cases, 0, "those that diverged or failed have no score"),
-        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency"),
+                "below tension_min"),
+        _Column("limited", limited, 0, "commands changed"),
+        _Column("cases", cases, 0, lost),
+        _Column("cycle [ms]", _cycle, 4, "95th percentile of the latency [ms]"),
     ]  # fmt: skip
     kept = {"tracking", "cases"}
     return [c for c in columns if c.title in kept or any(c.cell(x) != "-" for x in results.summary)]
@@ -163,6 +183,11 @@ def _nees(line: Line) -> str:
     return f"{value['mean']:.3g}{mark}"
 
 
+def _lost(line: Line) -> bool:
+    """Return whether a row has cases without a score."""
+    return bool(line["failures"])
+
+
 def _cycle(line: Line) -> str:
     return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
 
@@ -175,14 +200,20 @@ def tension_range(line: Line) -> str:
 
 
 def _newtons(tension: float) -> str:
-    """Format a tension: two digits where it is small."""
-    return f"{tension:.2g}" if tension < TWO_DIGITS_MAX_N else f"{tension:.0f}"
+    """Format a tension: with a decimal where it is small."""
+    return f"{tension:.1f}" if tension < ONE_DECIMAL_MAX_N else f"{tension:.0f}"
 
 
 def limited(line: Line) -> str:
     """Format the share of limited commands, with the limit that most of them met."""
     share, name = line["limited_share"], main_limit(line)
     return percent(share) + (f" {name}" if name and percent(share) not in ("-", "0 %") else "")
+
+
+def _limited_in_short(line: Line) -> str:
+    """Format the share of limited commands with an abbreviated limit."""
+    share, space, name = limited(line).rpartition(" ")
+    return f"{share}{space}{SHORT_LIMITS.get(name, name)}"
 
 
 def main_limit(line: Line) -> str | None:

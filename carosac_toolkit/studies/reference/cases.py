@@ -65,7 +65,7 @@ class ReferenceSuite:
 
         name = LATEST_SUITE if name == LATEST_SUITE_ALIAS else name
         if name not in suites():
-            allowed = f"one of {[LATEST_SUITE_ALIAS, *suites()]}; sensors are chosen with --suites"
+            allowed = f"one of {[LATEST_SUITE_ALIAS, *suites()]}; sensors are chosen with --sensors"
             raise InvalidField("suite", repr(name), allowed)
         return cls(name=name, definition=load_yaml(_file(name).read_text(encoding="utf-8")))
 
@@ -135,7 +135,7 @@ class ReferenceSuite:
         }
         return Study(
             robots=(robot,),
-            suites=(self.definition["suite"],),
+            sensors=(self.definition["suite"],),
             perturbations=(self.definition["perturbation"],),
             **{**fixed, **ways, **more, **settings},
         )

@@ -17,13 +17,13 @@ from carosac_toolkit.studies.compare.paper_tables import explanation, markdown_t
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults
 from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, SuiteTask
 from carosac_toolkit.studies.run.folder import json_record
-from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row, renamed
 
 RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
 REFERENCE_SCHEMA = "carosac-reference/1"
 PUBLISHED_LABEL = "published"
 TEXT_COLUMNS = (
-    "part", "robot", "controller", "estimator", "suite", "perturbation", "trajectory", "seed",
+    "part", "robot", "controller", "estimator", "sensors", "perturbation", "trajectory", "seed",
     "status", "reason",
 )  # fmt: skip
 NUMBER_COLUMNS = (
@@ -92,9 +92,8 @@ def read_rows(folder: Path) -> list[Row]:
     """
     path = folder / RESULTS
     reader = csv.DictReader(io.StringIO(_text(path)))
-    missing = [
-        name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in (reader.fieldnames or ())
-    ]
+    reader.fieldnames = list(renamed(dict.fromkeys(reader.fieldnames or ())))
+    missing = [name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in reader.fieldnames]
     if missing:
         raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
     rows, faults = [], []

@@ -15,6 +15,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.robot.perturbations import SEEDED_AS
 
+HASHED_AS = {"sensors": "suite"}  # name of before, in identities and seeds: draws stay the same
 SEED_BITS = 63  # a signed 64-bit integer holds every seed
 
 
@@ -31,7 +32,7 @@ class Case:
         robot: Name of a bundled robot, or path of a robot file.
         controller: Name of the controller, or ``module:Class``.
         estimator: Name of the estimator, or ``module:Class``.
-        suite: Name of the sensor suite.
+        sensors: Sensors that measure, such as ``lengths+imu``.
         trajectory: Name of the trajectory.
         perturbation: Name of the condition that the plant is drawn from.
         seed: Number of the draw of everything random, >= 0.
@@ -43,7 +44,7 @@ class Case:
     robot: str
     controller: str
     estimator: str
-    suite: str
+    sensors: str
     trajectory: str
     perturbation: str
     seed: int
@@ -60,7 +61,7 @@ class Case:
     @cached_property
     def identity(self) -> str:
         """Sixteen hexadecimal digits that stand for all fields and the toolkit's version."""
-        return _digest({"case": self.to_dict(), "toolkit": __version__}).hex()[:16]
+        return _digest({"case": _hashed(self.to_dict()), "toolkit": __version__}).hex()[:16]
 
     @cached_property
     def plant_seed(self) -> int:
@@ -97,7 +98,7 @@ class Case:
         values = {name: getattr(self, name) for name in names}
         if "perturbation" in values:
             values["perturbation"] = SEEDED_AS.get(self.perturbation, self.perturbation)
-        return int.from_bytes(_digest({"purpose": purpose, **values})[:8], "big") >> (
+        return int.from_bytes(_digest({"purpose": purpose, **_hashed(values)})[:8], "big") >> (
             64 - SEED_BITS
         )
 
@@ -116,7 +117,7 @@ def product(
     robots: Sequence[str],
     controllers: Sequence[str],
     estimators: Sequence[str],
-    suites: Sequence[str],
+    sensors: Sequence[str],
     trajectories: Sequence[str],
     perturbations: Sequence[str],
     seeds: Sequence[int],
@@ -131,14 +132,15 @@ def product(
         "robots": robots,
         "controllers": controllers,
         "estimators": estimators,
-        "suites": suites,
+        "sensors": sensors,
         "trajectories": trajectories,
         "perturbations": perturbations,
         "seeds": seeds,
     }
     for axis, values in axes.items():
         if isinstance(values, str) or not values or len(set(values)) < len(values):
-            raise InvalidField(axis, repr(values), "a list of one or more different values")
+            shown = repr(list(values)) if values and not isinstance(values, str) else repr(values)
+            raise InvalidField(axis, shown if values else "none", "one or more different values")
     names = (*CASE_COLUMNS, "seed")
     return [
         Case(**dict(zip(names, values, strict=True)), settings=settings or {})
@@ -154,6 +156,11 @@ def canonical(value: Any) -> str:
 def _digest(value: Any) -> bytes:
     """Return the hash of a value."""
     return hashlib.sha256(canonical(value).encode()).digest()
+
+
+def _hashed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields by the names that identities and seeds are made of."""
+    return {HASHED_AS.get(name, name): value for name, value in values.items()}
 
 
 def _frozen(settings: Mapping[str, Any]) -> Mapping[str, Any]:

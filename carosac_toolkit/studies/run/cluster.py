@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import missing_extras, require
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 CONNECT_TIMEOUT_S = 20.0  # [s]
+PARALLEL_EXTRA = "parallel"
 SINGLE_THREAD_ENVIRONMENT = {
     name: "1"
     for name in (
@@ -52,6 +54,31 @@ def usable_cores() -> int:
     return int(CPU_COUNT)
 
 
+def has_parallel_packages() -> bool:
+    """Return whether the packages of worker processes are installed."""
+    return not missing_extras([PARALLEL_EXTRA])
+
+
+def require_parallel_packages(user: str) -> None:
+    """Refuse worker processes without their packages.
+
+    Args:
+        user: What needs them, for the message.
+
+    Raises:
+        MissingExtra: They are not installed.
+    """
+    require(user, "cryptography", "distributed")
+
+
+def default_workers() -> int:
+    """Return the number of worker processes where the user chose none.
+
+    One per usable core, or 0 without the packages of worker processes: this process does it all.
+    """
+    return usable_cores() if has_parallel_packages() else 0
+
+
 @contextmanager
 def local_client(workers: int) -> Iterator[Any]:
     """Start worker processes with one thread each; they end with the block or with this process.
@@ -62,7 +89,11 @@ def local_client(workers: int) -> Iterator[Any]:
 
     Args:
         workers: Number of workers.
+
+    Raises:
+        MissingExtra: The packages of worker processes are not installed.
     """
+    require_parallel_packages("a worker process")
     import dask
     from distributed import Client, LocalCluster, Security
 
@@ -99,11 +130,17 @@ def remote_client(address: str) -> Iterator[Any]:
     Raises:
         InvalidField: No scheduler answers there.
         CarosacError: It has no workers.
+        MissingExtra: The packages of worker processes are not installed.
     """
+    require_parallel_packages("a dask scheduler")
     from distributed import Client
+    from distributed.comm.addressing import parse_address, parse_host_port
 
     allowed = "address of a running dask scheduler, such as 'tcp://host:8786'"
     try:
+        protocol, place = parse_address(address)
+        if protocol in ("tcp", "tls"):
+            parse_host_port(place)  # a client without a port hangs when it is closed
         client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InvalidField("scheduler", repr(address), f"{allowed} ({error})") from error

@@ -8,9 +8,18 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import install_command
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.cluster import local_client, remote_client, usable_cores
+from carosac_toolkit.studies.run.cluster import (
+    PARALLEL_EXTRA,
+    default_workers,
+    has_parallel_packages,
+    local_client,
+    remote_client,
+    require_parallel_packages,
+)
 from carosac_toolkit.studies.run.dispatch import Dispatcher
 from carosac_toolkit.studies.run.execution import WorkerTask, find_function, rows_of
 from carosac_toolkit.studies.run.folder import (
@@ -26,6 +35,7 @@ from carosac_toolkit.studies.run.rows import Row
 SERIAL_CASES_MAX = 4  # cases that are not worth a process of their own
 FLUSH_INTERVAL_S = 1.0  # [s] between two files of rows
 DEFAULT_TIMEOUT_S = 600.0  # [s]
+ONE_PROCESS_NOTE = "study: one case after another, on one core; for all cores: "
 
 
 def run_cases(
@@ -62,7 +72,7 @@ def run_cases(
             need one thread each (``--nthreads 1``) and the same version of the toolkit.
         workers: Number of worker processes on this machine; 0 runs all cases in this process,
             which shares the fate of a case that dies. By default as many as there are cores, and 0
-            for a handful of cases.
+            for a handful of cases or without the extra ``parallel``.
         timeout: Time limit of a case [s]; a case's own ``settings["timeout"]`` takes precedence.
             It then has 5 s, or once more its time if that is less, before its process is ended.
         attempts: Number of times that a case may kill its process before it is given up.
@@ -80,6 +90,7 @@ def run_cases(
 
     Raises:
         InvalidField: An argument is not allowed.
+        MissingExtra: Workers or a scheduler without the extra ``parallel``.
         StudyConflict: The folder holds another study, or another process uses it.
         LostScheduler: The scheduler went away, or had no workers for 120 s; what was finished is
             in the folder.
@@ -107,6 +118,8 @@ def run_cases(
             count = _worker_count(workers, len(cases), len(todo))
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
+                if here and len(todo) > SERIAL_CASES_MAX and not has_parallel_packages():
+                    bar.say(ONE_PROCESS_NOTE + install_command([PARALLEL_EXTRA]))
                 notes = "" if here else stack.enter_context(notes_folder(path))
                 own = str(path.resolve()) if own_files else ""
                 tasks = _tasks(todo, function, attempts, notes, own, batching)
@@ -197,6 +210,9 @@ def _check(
     if workers is not None and (workers < 0 or scheduler is not None):
         allowed = "no number of workers with a scheduler" if scheduler else "0 or more"
         raise InvalidField("workers", str(workers), allowed)
+    if workers:
+        processes = counted(workers, "worker process", "worker processes")
+        require_parallel_packages(f"a run on {processes}")
     if attempts < 1:
         raise InvalidField("attempts", str(attempts), "1 or more")
 
@@ -213,4 +229,4 @@ def _worker_count(workers: int | None, asked: int, left: int) -> int:
     """Return the number of local workers; few cases are counted over the whole study."""
     if workers is not None:
         return min(workers, left)
-    return 0 if asked <= SERIAL_CASES_MAX else min(usable_cores(), left)
+    return 0 if asked <= SERIAL_CASES_MAX else min(default_workers(), left)

@@ -11,7 +11,7 @@ from carosac_toolkit.base.terminal import CLEAR_LINE, TerminalText, printable
 from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 TERMINAL_INTERVAL_S = 0.5  # [s] between two updates of the line on a terminal
-PLAIN_INTERVAL_S = 10.0  # [s] between two lines elsewhere
+PLAIN_INTERVAL_S = 30.0  # [s] to the first line elsewhere; every wait is twice the last one
 
 
 class Progress:
@@ -54,11 +54,14 @@ class Progress:
         return sum(self._counts.values())
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Count rows, and report from time to time."""
+        """Count rows, and report from time to time, and as soon as the rest can be estimated."""
+        first = self.finished == self._before
         self._count(rows)
         now = time.monotonic()
-        if now - self._shown >= self._interval:
+        estimable = first and self._before < self.finished < self._total
+        if estimable or now - self._shown >= self._interval:
             self._shown = now
+            self._interval *= 1.0 if self._terminal else 2.0
             self._tell(end="" if self._terminal else "\n")
 
     def close(self) -> None:

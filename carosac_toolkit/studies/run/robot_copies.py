@@ -1,8 +1,9 @@
-"""Copies of robot files in the folder of a study, so that it can be read wherever it is."""
+"""Copies of robot and path files in the folder of a study, which can then be read anywhere."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.studies.run.run_case import robot_digest
+from carosac_toolkit.trajectories.path_file import path_digest, path_file
 
-ROBOTS_FOLDER = "robots"  # in the folder of a study
+ROBOTS_FOLDER, PATHS_FOLDER = "robots", "trajectories"  # in the folder of a study
 
 
 def copy_robots(folder: Path, robots: Sequence[str]) -> list[Path]:
@@ -25,6 +27,21 @@ def copy_robots(folder: Path, robots: Sequence[str]) -> list[Path]:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as temporary:
                 temporary.write_text(robot_text(name), encoding="utf-8", newline="")
+        copies.append(path)
+    return copies
+
+
+def copy_paths(folder: Path, names: Sequence[str]) -> list[Path]:
+    """Copy files of trajectories into the folder of a study; return the copies."""
+    copies = []
+    for name in names:
+        source = path_file(name)
+        digest = path_digest(name) or ""
+        path = folder / PATHS_FOLDER / f"{source.stem}-{digest[:8]}{source.suffix}"
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as temporary:
+                shutil.copyfile(source, temporary)
         copies.append(path)
     return copies
 

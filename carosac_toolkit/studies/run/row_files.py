@@ -11,7 +11,13 @@ from typing import Any
 from carosac_toolkit.base.errors import MALFORMED, InvalidFile
 from carosac_toolkit.base.file_limits import read_rows
 from carosac_toolkit.base.files import replacing
-from carosac_toolkit.studies.run.rows import Row, Value, column_kinds, in_common_columns
+from carosac_toolkit.studies.run.rows import (
+    Row,
+    Value,
+    column_kinds,
+    in_common_columns,
+    renamed,
+)
 
 PART_FILE_PATTERN = "part-*.parquet"
 LARGE_PART_ROWS_MIN = 10_000  # rows of a part that is not merged any more
@@ -76,7 +82,7 @@ def _rows(path: Path) -> list[Row]:
             for row in rows:
                 text = row[item.name]
                 row[item.name] = None if text is None else _scalar(str(text))
-    return rows
+    return [renamed(row) for row in rows]
 
 
 def _scalar(text: str) -> Value:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
+from carosac_toolkit.studies.run.case import CASE_COLUMNS, HASHED_AS, Case, canonical
 
 Value = bool | int | float | str | None
 Row = dict[str, Value]
@@ -85,6 +85,12 @@ def in_common_columns(rows: Iterable[Row]) -> list[Row]:
     columns = (*OWN_COLUMNS, *others)
     floating = {name for name in columns if column_kinds(rows, name) == {int, float}}
     return [{name: _as_float(row.get(name), name in floating) for name in columns} for row in rows]
+
+
+def renamed(row: Row) -> Row:
+    """Return a row with the names of today; one of an earlier version may have those of before."""
+    new_names = {old: new for new, old in HASHED_AS.items() if new not in row}
+    return {new_names.get(name, name): value for name, value in row.items()}
 
 
 def column_kinds(rows: Iterable[Row], name: str) -> set[type]:

@@ -32,6 +32,7 @@ from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.scores import score
+from carosac_toolkit.trajectories.path_file import is_path_file, path_digest
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 DEFAULT_DRIVER = "simulator"
@@ -43,6 +44,7 @@ SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest", "condition_digest",
+    "trajectory_digest",
 )  # fmt: skip
 
 
@@ -93,7 +95,7 @@ def run_case(case: Case) -> dict[str, Any]:
     settings = known_settings(case.settings)
     robot = robot_of(case.robot, digest_of(case))
     condition = condition_of(case).of(robot)
-    plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
+    plant = plant_of(case, robot)
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
     name = str(settings.get("driver", DEFAULT_DRIVER))
     recorded = replays(plugins.load("drivers", name))
@@ -112,7 +114,7 @@ def run_case(case: Case) -> dict[str, Any]:
         duration = final_rest(robot) + path.duration
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
-        rehearse(robot, estimator, controller, path, suite=case.suite)
+        rehearse(robot, estimator, controller, path, suite=case.sensors)
     log = run(driver, estimator, controller, path, duration=duration)
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
@@ -122,8 +124,24 @@ def run_case(case: Case) -> dict[str, Any]:
     return row | {"series": example_series(case, log)}
 
 
+def plant_of(case: Case, robot: Robot) -> Robot:
+    """Return the plant that a case draws from its condition."""
+    condition = condition_of(case).of(robot)
+    return draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
+
+
 def path_of(case: Case, robot: Robot) -> Trajectory:
-    """Return the trajectory that a case draws."""
+    """Return the trajectory that a case draws, or that of its file.
+
+    Raises:
+        CarosacError: The file is not the one that the case was made for.
+    """
+    if is_path_file(case.trajectory):
+        if case.settings.get("trajectory_digest") not in (None, path_digest(case.trajectory)):
+            raise CarosacError(
+                f"trajectory {case.trajectory}: this file is not the one the study was made for"
+            )
+        return trajectories.from_file(case.trajectory, robot)
     limits = {x: case.settings.get(x) for x in ("speed_max", "acceleration_max")}
     return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
 
@@ -137,7 +155,7 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == "truth":
         return Truth(driver)
-    given = {"load_cells": "tension" in case.suite.split("+")}
+    given = {"load_cells": "tension" in case.sensors.split("+")}
     asked = case.settings.get("estimator_settings", {})
     given = {name: value for name, value in given.items() if name not in asked}
     return build_part("estimators", case.estimator, robot, case, "estimator_settings", given)
@@ -153,7 +171,7 @@ def given_to_driver(
     scene = {
         "set_down": True, "wind_force": condition.wind_force, "wind_time": condition.wind_time,
     }  # fmt: skip
-    values = (case.suite, period, start, scene, *scene.values())
+    values = (case.sensors, period, start, scene, *scene.values())
     return dict(zip(CASE_DRIVER_SETTINGS, values, strict=True))
 
 
@@ -187,6 +205,7 @@ def example_series(case: Case, log: Log) -> str | None:
         "position_m": None if log.position is None else log.position[keep, 0],
         "quaternion": None if log.rotation is None else from_matrix(log.rotation[keep, 0]),
         "tension_N": None if log.tension is None else log.tension[keep, 0],
+        "unstrained_length_m": None if log.true_length is None else log.true_length[keep, 0],
         "belief_m": log.belief_position[keep, 0],
         "length_error_m": (log.unstrained_length - log.command)[keep, 0],
     }

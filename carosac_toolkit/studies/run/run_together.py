@@ -16,7 +16,6 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
-from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.studies.run.case import Case, canonical
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
@@ -33,6 +32,7 @@ from carosac_toolkit.studies.run.run_case import (
     known_settings,
     path_of,
     period_of,
+    plant_of,
     plugin_name,
     robot_of,
 )
@@ -72,9 +72,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     settings = known_settings(first.settings)
     robot = robot_of(first.robot, digest_of(first))
     condition = condition_of(first).of(robot)
-    plants = [
-        draw_plant(robot, condition, np.random.default_rng(case.plant_seed)) for case in cases
-    ]
+    plants = [plant_of(case, robot) for case in cases]
     paths = Paths(tuple(path_of(case, robot) for case in cases))
     controller = build_part("controllers", first.controller, robot, first, "controller_settings")
     driver = build_part(

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -5,12 +6,12 @@ import pytest
 from matplotlib.colors import to_hex
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS
+from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
 from learned.pictures.accuracy import (
     error_histograms,
     error_violins,
     errors_over_time,
-    rmse_gaussians,
+    rmse_distribution,
     sample_paths,
 )
 from tests.robots import simple_robot
@@ -41,16 +42,17 @@ def test_one_trajectory_has_a_histogram(tmp_path, value):
     assert [sum(p.get_height() for p in axes.patches) for axes in figure.axes] == [1, 1]
 
 
-def test_violins_show_rmse_and_median_of_the_absolute_error(tmp_path):
+def test_violins_show_rmse_and_mean_of_the_signed_error(tmp_path):
     errors = RNG.standard_normal((800, 3)) * [0.02, 0.03, 0.01] - 0.01
-    (axes,) = error_violins(errors, tmp_path / "violins.png").axes
-    bars = [c.get_segments()[0][0][1] for c in axes.collections if hasattr(c, "get_segments")]
-    assert bars == pytest.approx(1e3 * np.sqrt((errors**2).mean(axis=0)))
-    dots = [line.get_ydata()[0] for line in axes.lines]
-    assert dots == pytest.approx(1e3 * np.median(np.abs(errors), axis=0))
-    names = [tick.get_text() for tick in axes.get_xticklabels()]
-    assert [name.split("\n")[0] for name in names] == ["x", "y", "z"]
-    assert names[0].endswith(f"median {dots[0]:.1f} mm")
+    (axes,) = error_violins(errors, tmp_path / "violins.png", robot=simple_robot()).axes
+    numbers = [float(tick.get_text()) for tick in axes.get_xticklabels()]
+    assert numbers == pytest.approx(1e3 * np.sqrt((errors**2).mean(axis=0)), rel=5e-3)
+    marks = [line.get_ydata()[0] for line in axes.lines if line.get_marker() in "os^"]
+    assert marks == pytest.approx(1e3 * errors.mean(axis=0))
+    for body, column in zip(axes.collections, errors.T, strict=True):
+        drawn = body.get_paths()[0].vertices[:, 1]
+        assert (drawn.min(), drawn.max()) == pytest.approx((1e3 * column.min(), 1e3 * column.max()))
+    assert axes.figure.get_suptitle().startswith("simple: ")
 
 
 def test_paths_lie_beside_their_references_within_the_workspace_box(tmp_path):
@@ -60,6 +62,8 @@ def test_paths_lie_beside_their_references_within_the_workspace_box(tmp_path):
     reached = reference + 0.02
     figure = sample_paths(reference, reached, robot, tmp_path / "paths.png")
     space, above, side = figure.axes
+    factor = int(re.search(r"errors drawn (\d+) times larger", figure.get_suptitle())[1])
+    assert factor > 1
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     for axes, columns, edges in ((space, [0, 1, 2], 12), (above, [0, 1], 4), (side, [0, 2], 4)):
         lines = [np.array(getattr(one, "get_data_3d", one.get_data)()) for one in axes.lines]
@@ -69,12 +73,15 @@ def test_paths_lie_beside_their_references_within_the_workspace_box(tmp_path):
         assert np.concatenate(box, axis=1).max(axis=1) == pytest.approx(corners[1, columns])
         for k, color in enumerate(SERIES_COLORS[:3]):
             (own,) = (i for i, one in enumerate(axes.lines) if to_hex(one.get_color()) == color)
-            np.testing.assert_allclose(lines[own], reached[k][:, columns].T)
-        dashed = [line for one, line in zip(axes.lines, lines, strict=True) if one.get_ls() == "--"]
+            drawn = reference + factor * (reached - reference)
+            np.testing.assert_allclose(lines[own], drawn[k][:, columns].T)
+        black = [to_hex(one.get_color()) == MEASURED_COLOR for one in axes.lines]
+        dashed = [
+            line
+            for one, line, reference_line in zip(axes.lines, lines, black, strict=True)
+            if reference_line and one.get_ls() == "--"
+        ]
         np.testing.assert_allclose(dashed, reference[..., columns].swapaxes(1, 2))
-        assert all(
-            to_hex(one.get_color()) == MEASURED_COLOR for one in axes.lines if one.get_ls() == "--"
-        )
     labels = {text.get_text() for text in figure.legends[0].get_texts()}
     assert labels == {"workspace box", "reference", "reached"}
 
@@ -87,21 +94,16 @@ def test_a_long_workspace_is_turned(tmp_path):
     assert (above.get_xlabel(), above.get_ylabel()) == ("y [m]", "x [m]")
 
 
-def test_gaussians_show_every_trajectory_its_mean_and_deviation(tmp_path):
+def test_distributions_have_a_step_for_every_trajectory(tmp_path):
     groups = {"policy": 0.02 + 0.002 * RNG.standard_normal((10, 3)), "KS": np.full((1, 3), 0.04)}
-    figure = rmse_gaussians(groups, tmp_path / "gaussians.png")
+    figure = rmse_distribution(groups, tmp_path / "rmse.png")
     for axis, axes in enumerate(figure.axes):
-        values = 1e3 * groups["policy"][:, axis]
-        ticks = [line for line in axes.lines if line.get_marker() == "|"]
-        np.testing.assert_allclose(ticks[0].get_xdata(), values)
-        texts = [text.get_text() for text in axes.texts]
-        assert texts == [f"{values.mean():.1f} ± {values.std(ddof=1):.1f}", "40.0"]
-        outline = axes.collections[0].get_paths()[0].vertices
-        peak = outline[outline[:, 1].argmax()]
-        assert peak == pytest.approx([values.mean(), 1.0])
-        within = outline[outline[:, 1] >= np.exp(-0.5), 0]  # one deviation to each side
-        assert np.ptp(within) == pytest.approx(2.0 * values.std(ddof=1), rel=0.06)
-        assert axes.get_xlim()[0] <= 0.0
+        policy, solver = axes.lines
+        values = np.sort(1e3 * groups["policy"][:, axis])
+        np.testing.assert_allclose(policy.get_xdata()[1:], values)
+        np.testing.assert_allclose(policy.get_ydata(), np.arange(11) / 10)
+        np.testing.assert_allclose(solver.get_xdata(), 40.0)
+        assert axes.get_xlim()[0] >= 0.0
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path):
@@ -117,13 +119,13 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
     with pytest.raises(InvalidField, match=r"reference: got shape \(5, 3\)"):
         sample_paths(points[0], points[0], robot, path)
     with pytest.raises(InvalidField, match="groups: got 0"):
-        rmse_gaussians({}, path)
+        rmse_distribution({}, path)
     with pytest.raises(InvalidField, match=r"KS: got shape \(3,\)"):
-        rmse_gaussians({"KS": [0.1, 0.1, 0.1]}, path)
+        rmse_distribution({"KS": [0.1, 0.1, 0.1]}, path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_errors_over_time_are_absolute_in_millimetres_with_rests_shaded(tmp_path):
+def test_errors_over_time_are_signed_in_millimetres_with_rests_shaded(tmp_path):
     time = np.linspace(0.0, 4.0, 41)
     errors = {"a": RNG.normal(0.0, 0.01, (41, 3)), "b": RNG.normal(0.0, 0.02, (41, 3))}
     rests, marks = [(0.0, 1.0), (3.0, 4.0)], [2.0]
@@ -134,7 +136,7 @@ def test_errors_over_time_are_absolute_in_millimetres_with_rests_shaded(tmp_path
         drawn = {line.get_label(): line for line in axes.lines}
         for name, values in errors.items():
             assert drawn[name].get_xdata() == pytest.approx(time)
-            assert drawn[name].get_ydata() == pytest.approx(1e3 * np.abs(values[:, column]))
+            assert drawn[name].get_ydata() == pytest.approx(1e3 * values[:, column])
         spans = [(p.get_x(), p.get_x() + p.get_width()) for p in axes.patches]
         assert np.array(spans) == pytest.approx(np.array(rests))
         assert "xyz"[column] in axes.get_ylabel() and "[mm]" in axes.get_ylabel()

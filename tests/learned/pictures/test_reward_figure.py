@@ -3,6 +3,7 @@ import pytest
 
 from learned.pictures.reward_figure import paper_reward_terms
 from learned.rewards import PAPER_SAG
+from tests.pictures.layout import cut_texts, laid_out, overlapping_texts, texts_on_data
 
 
 def test_the_figure_has_the_terms_of_the_paper_with_the_values_of_its_formulas(tmp_path):
@@ -18,3 +19,8 @@ def test_the_figure_has_the_terms_of_the_paper_with_the_values_of_its_formulas(t
         assert np.interp(variable, *drawn[name]) == pytest.approx(term, abs=5e-3)
     distance, goal = drawn["goal"]
     assert distance[goal > 0.5].max() == pytest.approx(0.05, abs=1e-3)
+
+
+def test_nothing_in_the_figure_is_cut_off_or_covered(tmp_path):
+    figure = laid_out(paper_reward_terms(tmp_path / "terms.png"))
+    assert cut_texts(figure) == overlapping_texts(figure) == texts_on_data(figure) == []

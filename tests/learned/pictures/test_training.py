@@ -4,7 +4,7 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import SERIES_COLORS
+from carosac_toolkit.pictures.style import SERIES_COLORS
 from learned.learning_curve import CURVE_COLUMNS, Episode, write_curve, write_episodes
 from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed
 

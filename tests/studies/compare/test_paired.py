@@ -31,7 +31,7 @@ def study(errors, *, failed=(), seeds=SEEDS):
             ok = name not in failed
             errors_of = {f"tracking_rmse_{a}_m": value if ok else None for a in ("x", "y", "z")}
             rows.append({
-                "robot": "r", "controller": name, "estimator": "e", "suite": "s",
+                "robot": "r", "controller": name, "estimator": "e", "sensors": "s",
                 "perturbation": "p", "trajectory": f"t{path}", "seed": seed, "settings": "{}",
                 "status": "ok" if ok else "failed", "reason": None if ok else "why",
                 "tracking_rmse_norm_m": value if ok else None, "steps": 10, "centre_steps": 5,

@@ -6,7 +6,9 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import read_rows
+from carosac_toolkit.studies.compare.defaults import default_controllers
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import terminal_table
@@ -16,7 +18,10 @@ from tests.studies.tables import bad, case, good, study
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
 
 PLAIN = "tests.studies.tables:PlainDriver"
-FAST = {"trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5}
+FAST = {
+    "controllers": ["straight_line", "kinematic_solver"], "estimators": ["kinematic_solver"],
+    "sensors": ["lengths"], "trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5,
+}  # fmt: skip
 
 
 def without_latency(results):
@@ -78,8 +83,8 @@ def test_a_group_without_any_score_has_nulls_and_is_not_complete():
     json.dumps(results.data(), allow_nan=False)
 
 
-def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
-    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("suite", "s"),
+def test_a_group_is_a_robot_controller_estimator_sensors_and_perturbation():
+    pairs = [("controller", "a"), ("controller", "b"), ("estimator", "e"), ("sensors", "s"),
              ("robot", "scampi"), ("perturbation", "nominal-1")]  # fmt: skip
     rows = [
         good(case(**{"controller": "a"} | {name: x}, seed=seed), (1, 0, 0))
@@ -95,7 +100,7 @@ def test_a_group_is_a_robot_controller_estimator_suite_and_perturbation():
 
 def test_long_names_keep_the_table_within_its_width():
     names = [f"a.very.long.package.of.somebody:Controller{k}" for k in range(2)]
-    rows = [good(case(name, suite="lengths+imu+pose"), (1, 0, 0)) for name in names]
+    rows = [good(case(name, sensors="lengths+imu+pose"), (1, 0, 0)) for name in names]
     text = terminal_table(study(rows), 80)
     assert max(map(len, text.splitlines())) <= 80
     assert "Controller0 " in text and "Controller1 " in text and "..." not in text
@@ -155,14 +160,39 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         trajectories=["line"], seeds=[4, 2], controller_settings={"kinematic_solver": {"gain": 1.0}}
     )
     cases = chosen.cases()
-    assert len(cases) == 4 and {x.seed for x in cases} == {4, 2}
+    assert len(cases) == 10 and {x.seed for x in cases} == {4, 2}
     for x in cases:
         solver = x.controller == "kinematic_solver"
         assert ("controller_settings" in x.settings) == solver
         assert x.settings["example_seed"] == 4
-    assert len(ct.Study().cases()) == 100
+    assert len(ct.Study().cases()) == 50
     quick = ct.Study().quick().cases()
-    assert len(quick) == 20 and set(quick) < set(ct.Study().cases())
+    assert len(quick) == 10 and set(quick) < set(ct.Study().cases())
+
+
+def test_by_default_five_controllers_track_one_fast_move_behind_the_dynamic_estimator():
+    study = ct.Study()
+    assert study.controllers == (
+        "straight_line", "kinematic_solver", "input_shaping", "mpc", "td3"
+    )  # fmt: skip
+    assert study.estimators == ("dynamic_estimator",) and study.sensors == ("lengths+imu",)
+    assert {case.trajectory for case in study.cases()} == {"fast_move"}
+    assert {case.settings["speed_max"] for case in study.cases()} == {2.0}
+    elsewhere = ct.Study(driver="quasi_static")
+    assert elsewhere.controllers == ("straight_line", "kinematic_solver")
+    assert elsewhere.estimators == ("kinematic_solver",) and elsewhere.sensors == ("lengths",)
+
+
+def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp_path):
+    own = tmp_path / "heavier.yaml"
+    own.write_text(robot_text("carosac").replace("mass: 23.655", "mass: 24.655"))
+    for robot, why in (("cogiro", "a robot with a bundled policy"), (str(own), "mass differ")):
+        kept, left_out = default_controllers("simulator", ["carosac", robot])
+        assert kept == ("straight_line", "kinematic_solver", "input_shaping", "mpc")
+        assert (
+            len(left_out) == 1 and left_out[0].startswith("td3 is left out") and why in left_out[0]
+        )
+        assert ct.Study(robots=[robot]).controllers == kept
 
 
 @pytest.mark.parametrize(
@@ -174,17 +204,17 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"seeds": [1, 1]}, "seeds: got"),
         ({"seeds": [-1]}, "seed: got -1"),
         ({"controllers": "straight_line"}, "controllers: got 'straight_line'; allowed: a list"),
-        ({"controllers": []}, "controllers: got ()"),
+        ({"controllers": []}, "controllers: got none"),
         ({"controllers": ["straight_lime"]}, "did you mean 'straight_line'"),
         ({"estimators": ["json:dumps"]}, "a class with build"),
         ({"trajectories": ["circel"]}, "did you mean 'circle'"),
         ({"perturbations": ["nominal1"]}, "did you mean 'nominal-1'"),
-        ({"suites": ["lengths+imu"], "driver": "quasi_static"}, "suite: got 'lengths+imu'"),
+        ({"sensors": ["lengths+imu"], "driver": "quasi_static"}, "sensors: got 'lengths+imu'"),
         (
             {"driver_settings": {"wind_force": 2.0}},
             "driver_settings.wind_force: got 2.0; allowed: none",
         ),
-        ({"driver": PLAIN, "suites": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
+        ({"driver": PLAIN, "sensors": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
         ({"driver": PLAIN, "estimators": ["truth"]}, f"driver {PLAIN} knows no truth"),
         ({"speed_max": float("nan")}, "speed_max: got nan m/s"),
         ({"acceleration_max": -1.0}, "acceleration_max: got -1.0 m/s^2"),
@@ -240,7 +270,7 @@ def test_the_table_is_the_same_for_any_number_of_workers_and_a_second_call_goes_
 
 def test_without_a_folder_another_study_gets_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    first = ct.Study(**FAST, controllers=["straight_line"], seeds=1, workers=0)
+    first = ct.Study(**FAST | {"controllers": ["straight_line"]}, seeds=1, workers=0)
     assert [first.run(progress=False).folder.name for _ in range(2)] == ["compare"] * 2
     other = replace(first, speed_max=2.0)
     assert other.folder().name == "compare-2"
@@ -276,9 +306,10 @@ def test_a_changed_condition_file_makes_another_study(tmp_path):
 
 
 def test_paths_are_as_fast_as_the_robot_is_large():
-    cases = ct.Study(robots=["carosac", "ipanema1"], seeds=1).cases()
+    line = {"trajectories": ["line"], "robots": ["carosac", "ipanema1"], "seeds": 1}
+    cases = ct.Study(**line).cases()
     speed = {case.robot: case.settings["speed_max"] for case in cases}
     assert speed["carosac"] == 1.0
     assert speed["ipanema1"] == pytest.approx(np.sqrt(2.6148 / 9.1418), rel=1e-4)
-    asked = ct.Study(robots=["carosac", "ipanema1"], seeds=1, speed_max=0.7).cases()
+    asked = ct.Study(**line, speed_max=0.7).cases()
     assert {case.settings["speed_max"] for case in asked} == {0.7}

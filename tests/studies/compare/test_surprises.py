@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
-from carosac_toolkit.studies.compare.surprises import surprises
+from carosac_toolkit.studies.compare.feasibility import PathFeasibility
+from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
 from carosac_toolkit.studies.run.limit_scores import LIMIT_COLUMNS
@@ -32,7 +34,7 @@ def test_a_calm_study_has_no_surprise_and_shows_tensions_and_their_limits():
     assert surprises(results) == []
     text = terminal_table(results, 100)
     assert "30 to 90" in text and "2 ok" in text and "0 %" in text
-    assert "allowed are 20 to 500 N" in caption(results, 100)
+    assert "allowed 20 to 500 N" in caption(results, 100)
 
 
 def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do():
@@ -43,12 +45,42 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
     assert "44 % jump" in terminal_table(results, 100)
 
 
+def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
+    limited = LIMITED | {"limited_first": json.dumps({"speed": 44})}
+    calm = PathFeasibility(
+        robot="carosac", trajectory="circle", paths=2, infeasible=0, reason="", time_scale=1.0,
+        speed=0.1, acceleration=0.1,
+    )  # fmt: skip
+    results = study(rows("a", **limited))
+    fast = replace(calm, infeasible=1, reason="too fast", time_scale=0.5)
+    (text,) = surprises(replace(results, feasibility=(fast,)))
+    assert "lower --speed, or raise its speed_max" in text
+    (text,) = surprises(replace(results, feasibility=(calm,)))
+    assert "lower --speed" not in text and "slower paths help little" in text
+    own = [row | {"trajectory": "my.csv"} for row in rows("a", **limited)]
+    (text,) = surprises(replace(study(own), feasibility=(fast,)))
+    assert "slow the path down" in text and "--speed" not in text
+
+
 def test_slack_and_overloaded_cables_are_told_with_the_limits():
     more = {"slack_share": 0.34, "tension_min_N": 0.01, "overload_share": 0.02}
     results = study(rows("a", **more | {"tension_max_N": 700.0}))
     slack, over = surprises(results)
     assert "below tension_min (20 N): a 34 % of the time, down to 0.01 N" in slack
     assert "above tension_max (500 N): a 2 % of the time, up to 700 N" in over
+    assert "go slower" in slack
+    lasting, _ = surprises(study(rows("a", **more | {"slack_share": 0.99})))
+    assert "does not come from speed" in lasting and "go slower" not in lasting
+
+
+def test_the_terminal_is_spared_what_its_table_and_headlines_tell():
+    grave = {"limited": 44} | LIMITED
+    few = {"limited": 5, "limited_by": '{"jump": 5}', "limited_first": '{"jump": 5}'}
+    more = {"slack_share": 0.34, "tension_min_N": 0.01}
+    results = study([*rows("a", **few | more), *rows("b", 0.02, **grave)])
+    assert len(surprises(results)) == 2
+    (text,) = grave_surprises(results)
+    assert "mostly by jump (b 44 % of the commands)" in text
 
 
 def test_paths_that_were_moved_to_where_the_robot_can_rest_are_told():
@@ -90,7 +122,7 @@ def test_fallbacks_are_told_with_their_reasons():
 def test_names_stand_on_lines_of_their_own_where_they_leave_no_room():
     long = []
     for k in (0, 1):
-        names = {"robot": f"/far/away/robot{k}.yaml", "suite": "lengths+imu+pose" + "x" * k}
+        names = {"robot": f"/far/away/robot{k}.yaml", "sensors": "lengths+imu+pose" + "x" * k}
         long.append(good(case(f"c{k}" * 12, **names), (0.01 + k, 0, 0), **CALM))
     text = terminal_table(study(long), 80)
     assert max(map(len, text.splitlines())) <= 80

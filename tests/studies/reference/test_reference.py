@@ -98,7 +98,7 @@ def test_settings_reach_the_plug_in_that_they_are_of():
 
 def test_a_suite_that_is_not_there():
     with pytest.raises(
-        InvalidField, match=r"suite: got 'lengths'.*sensors are chosen with --suites"
+        InvalidField, match=r"suite: got 'lengths'.*sensors are chosen with --sensors"
     ):
         ReferenceSuite.load("lengths")
 
@@ -113,7 +113,7 @@ def part_of(scales, folder, *, seeds=4):
                 error = scale * (0.05 + 0.01 * np.sin(3.0 * seed + k))
                 rows.append({
                     "robot": "carosac", "controller": name, "estimator": "dynamic_estimator",
-                    "suite": "lengths+imu", "perturbation": "nominal-1", "trajectory": path,
+                    "sensors": "lengths+imu", "perturbation": "nominal-1", "trajectory": path,
                     "seed": seed, "status": "ok", "reason": None, "settings": "{}",
                     "tracking_rmse_norm_m": error, "steps": 100, "centre_steps": 40,
                     "tracking_centre_m": error, "tracking_boundary_m": error,

@@ -20,16 +20,31 @@ def test_it_tells_counts_and_time_left(monkeypatch):
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
     stream = io.StringIO()
     bar = Progress(30, rows(10), quiet=False, stream=stream)
-    now[0] += 20.0
+    now[0] += 40.0
     bar.add([*rows(4), *rows(1, "timed_out")])
     now[0] += 3700.0
     bar.add(rows(15))
     bar.close()
     assert stream.getvalue().splitlines() == [
         "study: 10 of 30 cases are there already",
-        "study: 15/30 cases, 0:00:20, 0:01:00 to go, 1 timed out",
-        "study: 30/30 cases, 1:02:00, 1 timed out",
+        "study: 15/30 cases, 0:00:40, 0:02:00 to go, 1 timed out",
+        "study: 30/30 cases, 1:02:20, 1 timed out",
     ]
+
+
+def test_a_file_gets_a_line_ever_more_rarely(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    bar = Progress(1000, [], quiet=False, stream=stream)
+    for _ in range(1000):
+        now[0] += 1.0
+        bar.add(rows(1))
+    bar.close()
+    shown = [
+        int(line.split("/")[0].removeprefix("study: ")) for line in stream.getvalue().splitlines()
+    ]
+    assert shown == [1, 61, 181, 421, 901, 1000]
 
 
 def test_few_long_cases_tell_how_much_of_them_is_done(monkeypatch):
@@ -67,3 +82,14 @@ def test_quiet_says_nothing():
     bar.say("something")
     bar.close()
     assert stream.getvalue() == ""
+
+
+def test_the_rest_is_estimated_with_the_first_case_however_soon_it_ends(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    bar = Progress(300, rows(0), quiet=False, stream=stream)
+    for _ in range(3):
+        now[0] += 2.0
+        bar.add(rows(1))
+    assert stream.getvalue().splitlines() == ["study: 1/300 cases, 0:00:02, 0:09:58 to go"]

@@ -1,9 +1,18 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
-from carosac_toolkit.studies.run.rows import BadRow, checked_values, in_common_columns, make_row
+from carosac_toolkit.studies.run.row_files import read_parts
+from carosac_toolkit.studies.run.rows import (
+    BadRow,
+    checked_values,
+    in_common_columns,
+    make_row,
+    renamed,
+)
 from tests.studies.functions import one_case
 
 
@@ -43,3 +52,11 @@ def test_rows_share_columns_and_numeric_types():
 def test_long_reasons_are_cut():
     row = make_row(one_case("mpc"), "failed", reason="x" * 5000, wall_time=0.0)
     assert len(str(row["reason"])) == 1000
+
+
+def test_rows_of_an_earlier_version_get_the_names_of_today(tmp_path):
+    table = pa.table({"case": ["a"], "status": ["ok"], "suite": ["lengths"]})
+    pq.write_table(table, tmp_path / "part-00000000.parquet")
+    (row,) = read_parts(tmp_path).values()
+    assert row["sensors"] == "lengths" and "suite" not in row
+    assert renamed({"sensors": "a", "suite": "a value of a case function"})["suite"]

@@ -34,15 +34,15 @@ LENGTHS = {"estimation_rmse_norm_m", "tracking_rmse_norm_m", "tracking_max_m", "
 
 
 def case(controller="kinematic_solver", estimator="kinematic_solver", seed=1, **changes):
-    fields = {"robot": "carosac", "suite": "lengths", "trajectory": "line",
+    fields = {"robot": "carosac", "sensors": "lengths", "trajectory": "line",
               "perturbation": "nominal-1", "settings": FAST} | changes  # fmt: skip
     return Case(controller=controller, estimator=estimator, seed=seed, **fields)
 
 
 @lru_cache
-def row_of(controller="kinematic_solver", estimator="kinematic_solver", seed=1, suite="lengths"):
+def row_of(controller="kinematic_solver", estimator="kinematic_solver", seed=1, sensors="lengths"):
     """Row of a case, which several tests look at; the same every time, as the first test says."""
-    return run_case(case(controller, estimator, seed, suite=suite))
+    return run_case(case(controller, estimator, seed, sensors=sensors))
 
 
 def without_latency(row):
@@ -104,7 +104,7 @@ def test_controllers_meet_the_same_plant_noise_and_trajectory(watched):
 
 def test_another_sensor_changes_neither_plant_nor_encoders():
     """A controller that uses no belief tracks the same, whatever else is measured."""
-    rows = [row_of(suite=suite) for suite in ("lengths", "lengths+pose")]
+    rows = [row_of(sensors=sensors) for sensors in ("lengths", "lengths+pose")]
     for name in ("tracking_rmse_norm_m", "tension_max_N", "command_rmse_m"):
         assert rows[0][name] == pytest.approx(rows[1][name], rel=1e-9)  # rounding of the pose
 
@@ -141,10 +141,10 @@ def test_truth_knows_the_twist_where_the_driver_does(watched):
         assert (Truth(driver).reset(driver.measure()).twist is not None) is has
 
 
-@pytest.mark.parametrize("suite", ["lengths+imu", "lengths+pose", "lengths+imu+pose"])
-def test_every_sensor_suite_meets_the_same_motion(suite):
+@pytest.mark.parametrize("sensors", ["lengths+imu", "lengths+pose", "lengths+imu+pose"])
+def test_all_sensors_meet_the_same_motion(sensors):
     """A controller that uses no belief tracks the same, whatever is measured."""
-    one, other = (row_of(suite=name) for name in ("lengths", suite))
+    one, other = (row_of(sensors=name) for name in ("lengths", sensors))
     assert other["tracking_rmse_norm_m"] == pytest.approx(one["tracking_rmse_norm_m"], rel=1e-4)
 
 
@@ -200,7 +200,7 @@ def test_a_setting_that_nobody_reads_is_named(settings, message):
     ("changes", "message"),
     [
         (
-            {"suite": "lengths+imu", "settings": FAST | {"driver": "quasi_static"}},
+            {"sensors": "lengths+imu", "settings": FAST | {"driver": "quasi_static"}},
             r"suite: got 'lengths\+imu'; allowed: .*this plant has no inertia",
         ),
         ({"controller": "pid"}, "controller: got 'pid'"),
@@ -244,7 +244,7 @@ def test_a_slower_trajectory_is_tracked_better():
 
 def test_on_a_recording_only_commands_and_estimates_are_scored():
     settings = FAST | {"driver": "replay", "driver_settings": {"recording": "synthetic"}}
-    row = run_case(case(settings=settings, suite="lengths+pose"))
+    row = run_case(case(settings=settings, sensors="lengths+pose"))
     assert all(row[name] is None for name in row if name.startswith("tracking_rmse"))
     assert "tracking_max_m" not in row and "residual_sway_m" not in row
     assert row["command_rmse_m"] > 0.0

@@ -20,7 +20,7 @@ SEEDS = (0, 1, 3)
 def case(seed: int, **changes) -> Case:
     values = {
         "robot": "scampi", "controller": "kinematic_solver", "estimator": "straight_line",
-        "suite": "lengths+imu+pose", "trajectory": "minimum_snap", "perturbation": "nominal-1",
+        "sensors": "lengths+imu+pose", "trajectory": "minimum_snap", "perturbation": "nominal-1",
         "settings": {"speed_max": 4.0, "acceleration_max": 4.0, "controller_settings": {
             "period": 0.1}},
     }  # fmt: skip
@@ -58,7 +58,7 @@ def test_paths_of_seeds_differ_in_their_time(together):
 def test_only_the_seed_may_differ():
     first = case(0)
     assert group_of(first) == group_of(case(7)) is not None
-    for change in ({"trajectory": "circle"}, {"robot": "carosac"}, {"suite": "lengths"}):
+    for change in ({"trajectory": "circle"}, {"robot": "carosac"}, {"sensors": "lengths"}):
         assert group_of(case(7, **change)) not in (None, group_of(first))
 
 

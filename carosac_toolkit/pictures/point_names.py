@@ -1,0 +1,92 @@
+"""Names of points in a view in three dimensions, placed where nothing else is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
+
+DISTANCES_POINTS = (4.0, 8.0, 14.0, 22.0)  # [points] between a point and its name, nearest first
+DIRECTIONS = (  # in which a name may be, with its alignment, the first choice first
+    ((0, 1), "center", "bottom"), ((1, 1), "left", "bottom"), ((-1, 1), "right", "bottom"),
+    ((0, -1), "center", "top"), ((-1, -1), "right", "top"), ((1, -1), "left", "top"),
+    ((1, 0), "left", "center"), ((-1, 0), "right", "center"),
+)  # fmt: skip
+LINE_DISTANCE_POINTS = 14.0  # [points] from which a line leads from a point to its name
+ROOM_PIXELS = 2.0  # [pixels] around a name that are kept free
+
+
+def name_points(axes: Any, names: Sequence[tuple[str, Array]], drawn: Iterable[Array]) -> None:
+    """Write the name of each point beside it, clear of curves, ticks and other names.
+
+    Everything else in the figure must be drawn by now. A name for which there is no free place is
+    put where it covers least, on a white ground.
+
+    Args:
+        axes: View in three dimensions.
+        names: Names and points in W [m], each of shape (3,).
+        drawn: Points on what must not be covered [m], each of shape (K, 3), close to each other.
+    """
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    figure = axes.figure
+    figure.draw_without_rendering()  # places of panels and ticks are known from here on
+    renderer = figure.canvas.get_renderer()
+    obstacles = [np.array(proj_transform(*curve.T, axes.get_proj())[:2]).T for curve in drawn]
+    pixels = axes.transData.transform(np.vstack(obstacles))
+    taken = [box for axis in (axes.xaxis, axes.yaxis, axes.zaxis) for box in _boxes(axis, renderer)]
+    for text, point in names:
+        place = np.array(proj_transform(*point, axes.get_proj())[:2])
+        name = axes.annotate(
+            text, place, xytext=(0, 0), textcoords="offset points", fontsize=7,
+            arrowprops={"arrowstyle": "-", "lw": 0.4, "shrinkA": 0.0, "shrinkB": 2.0},
+        )  # fmt: skip
+        name.set_in_layout(False)
+        taken.append(_put(name, renderer, pixels, taken))
+
+
+def _boxes(axis: Any, renderer: Any) -> list[Bbox]:
+    """Return the boxes of the numbers and the label of an axis [pixels]."""
+    texts = [tick.label1 for tick in axis.get_major_ticks()] + [axis.label]
+    return [text.get_window_extent(renderer) for text in texts if text.get_text()]
+
+
+def _put(name: Annotation, renderer: Any, pixels: Array, taken: Sequence[Bbox]) -> Bbox:
+    """Move a name to the first free place, and return its box [pixels]."""
+    from matplotlib.text import Text
+
+    figure, best = name.figure, None
+    assert figure is not None and name.arrow_patch is not None
+    for distance, (direction, across, up) in product(DISTANCES_POINTS, DIRECTIONS):
+        offset = tuple(distance * step for step in direction)
+        name.set(position=offset, ha=across, va=up)
+        box = Text.get_window_extent(name, renderer).padded(ROOM_PIXELS)
+        covered = sum(box.overlaps(other) for other in taken)
+        covered += int(box.x0 < 0 or box.x1 > figure.bbox.x1)
+        inside = ((pixels > box.min) & (pixels < box.max)).all(axis=1)
+        covered += int(inside.sum())
+        if best is None or covered < best[0]:
+            best = (covered, {"position": offset, "ha": across, "va": up}, box, distance)
+        if covered == 0:
+            break
+    assert best is not None
+    name.set(**best[1])
+    name.arrow_patch.set_visible(best[3] >= LINE_DISTANCE_POINTS)
+    if best[0]:
+        name.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5})
+    return best[2]
+
+
+def dense(start: Array, end: Array, count: int = 60) -> Array:
+    """Return points on a straight line between two points, shape (count, 3)."""
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    points: Array = start + share * (end - start)
+    return points

@@ -1,0 +1,115 @@
+"""The animation shows what the simulator computed, in real time."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import carosac_toolkit as ct
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.pictures import animation
+from carosac_toolkit.pictures.animation import animation_webp
+from carosac_toolkit.pictures.motions import motions_of
+from carosac_toolkit.reports.study import check_animation, write_report
+from tests.studies.tables import case, good, series
+
+CONTROLLERS = ["straight_line", "kinematic_solver"]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study") / "out"
+    return ct.Study(controllers=CONTROLLERS, seeds=1, workers=0, output=folder).run(progress=False)
+
+
+@pytest.fixture(scope="module")
+def motions(results):
+    return motions_of(results.folder, results.rows, CONTROLLERS)
+
+
+def test_cables_hang_between_the_exit_and_anchor_points_of_the_plant_by_their_tensions(motions):
+    for motion in motions:
+        assert motion.plant.mass != ct.load_robot("carosac").mass  # drawn, not nominal
+        anchors = motion.position[:, None] + np.einsum(
+            "sij,nj->sni", motion.rotation, motion.plant.anchor_points
+        )
+        np.testing.assert_allclose(motion.cables[:, :, -1], anchors, atol=1e-6)
+        exits = np.broadcast_to(motion.plant.exit_points, anchors.shape)
+        np.testing.assert_allclose(motion.cables[:, :, 0], exits, atol=1e-6)
+        chord = np.linalg.norm(exits - anchors, axis=-1)
+        along = np.linalg.norm(np.diff(motion.cables, axis=2), axis=-1).sum(axis=-1)
+        excess = (along - chord) / chord
+        taut, slack = excess[motion.tension > 50.0], excess[motion.tension < 0.3]
+        assert np.median(taut) < 1e-5 and taut.max() < 2e-3  # cables that swing are not catenaries
+        if motion.controller == "kinematic_solver":  # 0.3 N is less than half a cable weighs
+            assert len(slack) > 20 and slack.max() > 5e-3
+
+
+def test_the_error_is_the_distance_from_the_reference(results, motions):
+    for motion, row in zip(motions, results.rows, strict=True):
+        rms = float(np.sqrt((motion.error**2).mean()))
+        assert rms == pytest.approx(row["tracking_rmse_norm_m"], rel=1e-4)
+
+
+def test_it_plays_in_real_time_and_repeats(motions, monkeypatch):
+    monkeypatch.setattr(animation, "FRAMES_PER_SECOND", 4)
+    picture = Image.open(io.BytesIO(animation_webp(motions)))
+    duration = float(motions[0].time[-1])
+    assert picture.n_frames == int(np.ceil(duration * 4))
+    shown = []
+    for k in range(picture.n_frames):
+        picture.seek(k)
+        picture.load()
+        shown.append(picture.info["duration"])
+    assert shown[:-1] == [250] * (len(shown) - 1) and shown[-1] > 250
+    assert picture.info["loop"] == 0  # for ever
+
+
+def test_colours_are_those_of_the_tensions(motions):
+    colors = animation._TensionColors(motions[0].plant)  # 5 to 500 N
+    slack, low, middle, high, over = colors.of(np.array([0.0, 5.0, 50.0, 500.0, 501.0]))
+    ends = colors.map(np.array([0.0, 0.5, 1.0]))
+    np.testing.assert_allclose([low, middle, high], ends, atol=0.02)
+    assert np.ptp(slack[:3]) < 0.1 and tuple(over[:3]) == (0.0, 0.0, 0.0)  # grey, black
+
+
+def test_the_platform_is_drawn_with_the_faces_that_are_seen(motions):
+    corners = animation._platform_box(motions[0].plant)
+    assert corners[:, 2].max() == pytest.approx(-0.011, abs=0.005)  # anchors on its upper side
+    assert corners[:, 2].mean() == pytest.approx(-0.12, abs=0.05)  # centre of mass, drawn
+    faces, shades = animation._lit_faces(corners, np.array([0.0, 0.0, 1.0]))
+    assert len(faces) == len(shades) == 1
+    np.testing.assert_allclose(faces[0][:, 2], corners[:, 2].max())
+
+
+def test_a_report_shows_it_first(results, motions, monkeypatch):
+    monkeypatch.setattr(animation, "FRAMES_PER_SECOND", 1)
+    content = animation_webp(motions)
+    files = write_report(results, [], ["carosac", "compare"], animation=content)
+    assert (results.folder / "animation.webp").read_bytes() == content
+    assert results.folder / "animation.webp" in files
+    report = (results.folder / "report.html").read_text()
+    assert report.index("data:image/webp") < report.index("data:image/png")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["mcp"], "--animation: got 'mcp'; allowed: of the study: .*did you mean 'mpc'"),
+        (["a", "b", "mpc", "c"], "one to 3 different controllers"),
+        (["mpc", "mpc"], "one to 3 different controllers"),
+    ],
+)
+def test_an_animation_that_could_not_be_drawn_is_refused(names, message):
+    with pytest.raises(InvalidField, match=message):
+        check_animation(names, ["a", "b", "c", "mpc"])
+
+
+def test_a_run_without_tensions_and_lengths_is_refused(tmp_path):
+    row = good(case("a"), (0.1, 0.0, 0.0), series=series(0.1))
+    row["series"] = row["series"].replace("}", ', "quaternion": null}')
+    with pytest.raises(
+        CarosacError, match="animation: no run of a has poses, tensions and lengths"
+    ):
+        motions_of(tmp_path, [row], ["a"])

@@ -1,0 +1,73 @@
+"""Pictures of a workspace: filled panels, limits told apart, and names beside their points."""
+
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
+
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH
+from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space, volume_text
+from carosac_toolkit.pictures.workspace_limits import COLOR_SCALES, HATCHES
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.workspace import box_grid, box_of, compute, maps, slice_grid
+from tests.pictures.layout import cut_texts, laid_out, overlapping_texts
+
+CASES = [("carosac", "frame"), ("stadium", "workspace")]
+
+
+def regions_of(name, box):
+    robot = load_robot(name)
+    lower, upper = box_of(robot, box)
+    middle = 0.5 * (lower + upper)
+    slices = [slice_grid(lower, upper, axis, middle[k], 300) for k, axis in enumerate("xyz")]
+    return compute(robot, box_grid(lower, upper, 300)), [compute(robot, one) for one in slices]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: case[0])
+def drawn(request):
+    whole, slices = regions_of(*request.param)
+    found = maps(slices[0].robot, slices[0].verdicts, settings=slices[0].settings)
+    figures = {"slices": draw_slices(slices), "space": draw_space(whole)}
+    figures["maps"] = draw_maps(slices[0], found)
+    return {name: laid_out(figure) for name, figure in figures.items()}
+
+
+def test_no_text_is_covered_or_cut_off(drawn):
+    for name, figure in drawn.items():
+        assert overlapping_texts(figure) == [] == cut_texts(figure), name
+        assert figure.get_size_inches()[0] == DOUBLE_COLUMN_INCH
+
+
+def test_slices_fill_their_panels_and_panels_their_rows(drawn):
+    figure = drawn["slices"]
+    panels = [axes for axes in figure.axes if axes.get_xlabel()]
+    for axes in panels:
+        x, y = np.ptp(axes.collections[0].get_coordinates().reshape(-1, 2), axis=0)
+        assert x * y > 0.8 * np.ptp(axes.get_xlim()) * np.ptp(axes.get_ylim())
+    sizes = np.array([axes.get_window_extent().size for axes in panels])
+    spread = np.ptp(sizes, axis=0) / sizes.max(axis=0)
+    assert spread.min() < 0.03  # side by side all are as high, below each other all as wide
+
+
+def test_names_of_exit_points_are_beside_their_marks(drawn):
+    figure = drawn["space"]
+    axes, renderer = figure.axes[0], figure.canvas.get_renderer()
+    names = [text for text in axes.texts if isinstance(text, Annotation)]
+    assert len(names) == 4
+    marks = axes.transData.transform([name.xy for name in names])
+    for name in names:
+        box = super(Annotation, name).get_window_extent(renderer)
+        assert not ((marks > box.min) & (marks < box.max)).all(axis=1).any()
+
+
+def test_kinds_of_limits_differ_without_colour():
+    assert len(set(HATCHES.values())) == len(HATCHES)
+    assert len(set(COLOR_SCALES) - set(HATCHES)) <= 1  # one of them is plain
+
+
+@pytest.mark.parametrize(
+    ("volume", "text"),
+    [(8640.0, "8640 m³"), (338.2, "338 m³"), (51.23, "51.2 m³"), (0.01234, "0.0123 m³"),
+     (0.0, "0 m³")],
+)  # fmt: skip
+def test_volumes_have_no_exponent(volume, text):
+    assert volume_text(volume) == text
