@@ -119,9 +119,12 @@ def close_chain(guess: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Ca
 def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
                   position: wp.array(dtype=wp.vec3d), rotation: wp.array(dtype=wp.mat33d),
                   length: wp.array2d(dtype=wp.float64), q: wp.array2d(dtype=wp.vec3d),
-                  tension: wp.array2d(dtype=wp.float64),
-                  residual: wp.array(dtype=wp.float64)):  # fmt: skip
-    """Bring pose and tension vectors of continuous equilibria to discrete ones, in place."""
+                  tension: wp.array2d(dtype=wp.float64), at_rest: int,
+                  gap: wp.array(dtype=wp.float64)):  # fmt: skip
+    """Bring pose and tension vectors of continuous equilibria to discrete ones, in place.
+
+    Where the platform is not at rest its pose stays, and only the chains are closed.
+    """
     j = wp.tid()
     row = wp.min(which[j], plants.bodies.shape[0] - 1)
     body = plants.bodies[row]
@@ -135,6 +138,7 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
     iterations = int(0)
     unbalanced = bool(True)
     while unbalanced:
+        gap[j] = ZERO
         system = System()
         system.force = wp.vec3d(ZERO, ZERO, -body.mass * body.gravity)
         for i in range(n):
@@ -149,19 +153,22 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
             chain = hang_chain(t, anchor, length[j, i], cable, body.gravity, chains.segments)
             k = inverse33(chain.closure_t)
             tension[j, i] = wp.length(chain.force)
+            gap[j] = wp.max(gap[j], wp.length(chain.closure))
             system = attach(system, arm, chain.force, HALF * (k + wp.transpose(k)))
-        residual[j] = wp.length(system.force) + wp.length(system.moment) / body.arm
+        residual = wp.length(system.force) + wp.length(system.moment) / body.arm
         iterations += 1
         unbalanced = (
-            residual[j] > BALANCE_TOLERANCE * body.mass * body.gravity
+            at_rest == 1
+            and residual > BALANCE_TOLERANCE * body.mass * body.gravity
             and iterations < REST_NEWTON_STEPS_MAX
         )
         if unbalanced:
             newton = solve_system(system)
             center = center + newton.move
             r = orthonormal(rotation_of(newton.turn) * r)
-    rotation[j] = r
-    position[j] = center - r * body.center_of_mass
+    if at_rest == 1:
+        rotation[j] = r
+        position[j] = center - r * body.center_of_mass
 
 
 @wp.func

@@ -12,6 +12,8 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.held_lengths import pose_on_lengths
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.delayed_lengths import DelayedLengths
 from sim_warp.options import CableOptions
@@ -65,7 +67,7 @@ class SimulationRecord:
 
 
 class SimulatorEstimator:
-    """Open-loop estimator: cables wound as measured move the platform, from rest.
+    """Open-loop estimator: cables wound as measured move the platform, from rest or `reset_moving`.
 
     Lengths change linearly between measurements, without winches; poses, commands and all other
     sensors are not used. Where a simulation fails, the belief keeps the last valid pose,
@@ -115,6 +117,35 @@ class SimulatorEstimator:
             converged=valid, updates=1, failures=none + ~valid, restarts=none
         )  # fmt: skip
         return self._belief(start, measurement, record, self._simulator.state.numpy())
+
+    def reset_moving(self, measurement: Measurement, first: Belief) -> Belief:
+        """Start on the first lengths from a pose and a twist.
+
+        The pose is moved to where straight cables are as long as at the equilibrium of the lengths:
+        a measured one that is off by millimetres would stretch them. A world that cannot rest on
+        its lengths starts as `reset` says.
+
+        Args:
+            measurement: The first one.
+            first: Pose and twist at its time, one for each robot.
+        """
+        belief = self.reset(measurement)
+        record, simulator = self._last(belief), self._simulator
+        assert simulator is not None and first.twist is not None
+        rows = np.flatnonzero(record.converged)
+        straight = straight_length(self._robot, belief.position, belief.rotation).length
+        poses = [
+            pose_on_lengths(self._robot, first.position[k], first.rotation[k], straight[k])
+            for k in rows
+        ]
+        if not poses:
+            return belief
+        position, rotation = (np.array(part) for part in zip(*poses, strict=True))
+        lengths = measurement.unstrained_length[rows]
+        simulator.reset(
+            position, rotation, unstrained_length=lengths, twist=first.twist[rows], worlds=rows
+        )
+        return self._belief(belief, measurement, record, simulator.state.numpy())
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
         """Simulate to the time of a measurement; the command is not used.

@@ -10,10 +10,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.motion.dynamics import Advance, place_worlds
-from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.motion.dynamics import Advance, Placement, place_worlds
 from sim_warp import chain_start_kernels, particle_kernels, xpbd_kernels
+
+CHAIN_GAP_MAX = 1e-9  # of the shortest cable: a larger gap to an anchor point is no closed chain
 
 
 class ParticleDynamics:
@@ -83,27 +85,37 @@ class ParticleDynamics:
         names = ("position", "velocity", "rate", "predicted", "slack", "arc")
         return {name: getattr(self.chains, name) for name in names}
 
-    def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Place worlds in the equilibrium of their chains that is next to a continuous one."""
+    def place(self, which: NDArray[np.int32], start: Placement, twist: Array) -> None:
+        """Place worlds in the equilibrium of their chains that is next to a continuous one.
+
+        Worlds that do not start at rest keep their pose; their chains hang as if it stood still.
+
+        Raises:
+            InvalidField: A chain that does not start at rest does not reach its anchor point.
+        """
         warp_setup.load(chain_start_kernels, self._device)
         device = self._device
         rows = wp.array(which, dtype=int, device=device)
-        position = wp.array(rest.position, dtype=wp.vec3d, device=device)
-        rotation = wp.array(rest.rotation, dtype=wp.mat33d, device=device)
-        q = wp.array(rest.exit_tension, dtype=wp.vec3d, device=device)
-        tension = wp.array(rest.tension, dtype=wp.float64, device=device)
-        residual = wp.zeros(len(which), dtype=wp.float64, device=device)
-        length = wp.array(rest.unstrained_length, dtype=wp.float64, device=device)
+        position = wp.array(start.position, dtype=wp.vec3d, device=device)
+        rotation = wp.array(start.rotation, dtype=wp.mat33d, device=device)
+        q = wp.array(start.exit_tension, dtype=wp.vec3d, device=device)
+        tension = wp.array(start.tension, dtype=wp.float64, device=device)
+        gap = wp.zeros(len(which), dtype=wp.float64, device=device)
+        length = wp.array(start.unstrained_length, dtype=wp.float64, device=device)
         wp.launch(
             chain_start_kernels.settle_chains, len(which),
             inputs=[self._plants, self.chains, rows, position, rotation, length, q, tension,
-                    residual],
+                    int(start.at_rest), gap],
             device=device,
         )  # fmt: skip
+        open_rows = np.flatnonzero(~(gap.numpy() <= CHAIN_GAP_MAX * start.unstrained_length.min(1)))
+        if len(open_rows) and not start.at_rest:
+            k = int(open_rows[0])
+            allowed = "lengths at which its cables hang between exit and anchor points"
+            raise InvalidField(f"unstrained_length[{k}]", start.unstrained_length[k], allowed)
         settled = replace(
-            rest, position=position.numpy(), rotation=rotation.numpy(), tension=tension.numpy(),
-            residual=residual.numpy(),
-        )  # fmt: skip
+            start, position=position.numpy(), rotation=rotation.numpy(), tension=tension.numpy()
+        )
         place_worlds(self._plants, self._worlds, which, settled, twist, device)
         wp.launch(
             chain_start_kernels.place_chains, len(which),

@@ -15,7 +15,7 @@ Four models of the cables share one interface:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -27,9 +27,10 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.cable.shapes import hanging_cables
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement, cable_drag_of
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
@@ -163,8 +164,8 @@ class Simulator:
         rest = rest_at(fleet, home, device=self.device)
         sound = rest.converged & rest.stable
         if sound.any():
-            kept = {x.name: getattr(rest, x.name)[sound] for x in fields(Equilibrium)}
-            self._place(which[sound], Equilibrium(**kept), np.zeros((int(sound.sum()), 6)))
+            start = Placement.of(rest, sound)
+            self._place(which[sound], start, np.zeros((int(sound.sum()), 6)))
         if not sound.all():
             self._fail_at_home(np.flatnonzero(~sound).astype(np.int32), fleet)
 
@@ -185,11 +186,11 @@ class Simulator:
         worlds.command.assign(command)
         worlds.failed.assign(state.failed.astype(np.int32))
 
-    def _place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
+    def _place(self, which: NDArray[np.int32], start: Placement, twist: Array) -> None:
         """Place worlds; their command holds the lengths that they have wound."""
-        self._dynamics.place(which, rest, twist)
+        self._dynamics.place(which, start, twist)
         command = self._worlds.command.numpy()
-        command[which] = rest.unstrained_length
+        command[which] = start.unstrained_length
         self._worlds.command.assign(command)
 
     def _static_fleet(self, which: NDArray[np.int32]) -> Fleet:
@@ -216,29 +217,36 @@ class Simulator:
         twist: ArrayLike | None = None,
         worlds: Sequence[int] | NDArray[Any] | None = None,
     ) -> None:
-        """Place worlds at rest in static equilibrium; their winches hold these lengths.
+        """Place worlds at rest in static equilibrium, or anywhere; their winches hold still.
 
-        With cables of particles the platform rests within micrometres of `position`, in the
-        equilibrium of the chains.
+        A position or lengths define a rest. With cables of particles the platform rests within
+        micrometres of `position`, in the equilibrium of the chains. Position and lengths together
+        define a start away from the equilibrium: the platform is released there, with cables that
+        hang between their exit and anchor points as if the platform stood still.
 
         Args:
-            position: Platform origins in W [m], shape (K, 3); None: home.
-            rotation: From P to W, shape (K, 3, 3), with six cables or more; None: home rotation.
-            unstrained_length: Lengths that define the rest instead of a position [m], shape (K, n).
+            position: Platform origins in W [m], shape (K, 3); None: home, or where lengths hang it.
+            rotation: From P to W, shape (K, 3, 3), for a rest with six cables or more only; None:
+                home rotation.
+            unstrained_length: Lengths [m], shape (K, n); None: those of the rest.
             twist: Velocity with which they start, linear [m/s] then angular [rad/s] of the
                 platform origin in W, shape (K, 6); cables move along. None: at rest.
             worlds: Indices of K worlds, or a mask of shape (B,); None: all of them.
 
         Raises:
-            InvalidField: A wrong shape, numbers that are not finite, or a pose at which that
-                world's robot cannot rest. No world has been changed then.
+            InvalidField: A wrong shape, numbers that are not finite, a pose at which that world's
+                robot cannot rest, or lengths at which a cable cannot hang. No world has been
+                changed then.
         """
         which = self._indices(worlds)
         count = len(which)
         moving = np.zeros((count, 6)) if twist is None else batch("twist", twist, (6,))
         check_rows("twist", moving, count)
-        rest = self._rest(which, position, rotation, unstrained_length)
-        self._place(which, rest, moving)
+        if unstrained_length is not None and (position is not None or rotation is not None):
+            start = self._displaced(which, position, rotation, unstrained_length)
+        else:
+            start = Placement.of(self._rest(which, position, rotation, unstrained_length))
+        self._place(which, start, moving)
 
     def step(self, unstrained_length_command: ArrayLike | wp.array, duration: float) -> None:
         """Advance all worlds while the winches follow a constant command.
@@ -362,6 +370,42 @@ class Simulator:
             raise InvalidField("worlds", worlds, allowed)
         return indices.astype(np.int32)
 
+    def _displaced(
+        self,
+        which: NDArray[np.int32],
+        position: ArrayLike | None,
+        rotation: ArrayLike | None,
+        unstrained_length: ArrayLike,
+    ) -> Placement:
+        """Return poses away from equilibrium; refuse lengths at which a cable cannot hang."""
+        fleet, count = self._static_fleet(which), len(which)
+        if position is None:
+            raise InvalidField("position", None, "a position beside rotation and unstrained_length")
+        where = batch("position", position, (3,))
+        turn = np.broadcast_to(fleet.home_rotation, (count, 3, 3))
+        if rotation is not None:
+            turn = batch("rotation", rotation, (3, 3))
+            check_rotations("rotation", turn)
+        lengths = batch("unstrained_length", unstrained_length, (self.fleet.n,))
+        for name, value in (
+            ("position", where), ("rotation", turn), ("unstrained_length", lengths),
+        ):  # fmt: skip
+            check_rows(name, value, count)
+        check_lengths("unstrained_length", lengths)
+        cables = hanging_cables(fleet, where, turn, lengths, device=self.device)
+        if not cables.valid.all():
+            k, i = (int(x) for x in np.argwhere(~cables.valid)[0])
+            allowed = f"a length at which this cable can hang to its anchor point at position[{k}]"
+            raise InvalidField(f"unstrained_length[{k}, {i}]", f"{lengths[k, i]} m", allowed)
+        return Placement(
+            position=where,
+            rotation=turn,
+            unstrained_length=lengths,
+            tension=cables.tension,
+            exit_tension=cables.exit_tension,
+            at_rest=False,
+        )
+
     def _rest(
         self,
         which: NDArray[np.int32],
@@ -373,8 +417,6 @@ class Simulator:
         fleet = self._static_fleet(which)
         count = len(which)
         if unstrained_length is not None:
-            if position is not None or rotation is not None:
-                raise InvalidField("unstrained_length", "lengths and a pose", "one of them")
             name, given = "unstrained_length", batch("unstrained_length", unstrained_length,
                                                      (self.fleet.n,))  # fmt: skip
             check_rows(name, given, count)

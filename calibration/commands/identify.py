@@ -2,11 +2,14 @@
 
 The simulator runs open loop through the recorded lengths; centre of mass, inertia, damping,
 stiffness, delay, and geometry within what the robot file knows of it, are fitted to the poses of
-the samples of --train. Samples of --test are scored only. Prints what was learnt and what the data
-cannot tell, and writes a report and, with --output, a new robot file.
+the samples of --train. The recording may begin in motion, as a free oscillation with locked winches
+does: the first pose and speed of a platform on fewer than six cables are fitted too. Samples of
+--test are scored only. Prints what was learnt and what the data cannot tell, and writes a report
+and, with --output, a new robot file.
 
 Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
-on the samples kept back.
+on the samples kept back. No robot file is written if a platform that stands still would predict
+these samples as well.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ class Options(CommonOptions):
     the one that the recording names, or else the bundled one with its exit points."""
     train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
-    simulation always begins at sample 0, where the platform must be at rest."""
+    simulation always begins at sample 0, at rest or in motion."""
     test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Samples that are scored only; by default all after those of --train."""
     output: OutputFile = None
@@ -94,11 +97,14 @@ def run(options: Options) -> CommandResult:
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     name = Path(options.recording).name
+    output = None if result.against_mean.useless else options.output
     write_new_robot(
-        result, robot_source.name, options.output,
-        name=options.output.stem if options.output else None,
+        result, robot_source.name, output,
+        name=output.stem if output else None,
         provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
     )  # fmt: skip
+    if output != options.output:
+        print(f"\nno robot file was written: {options.output} would be of no use")
     sys.stdout.flush()
     for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)

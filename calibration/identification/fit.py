@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from calibration.identification.error_noise import PoseErrorNoise, estimate_noise
 from calibration.identification.measured_poses import MeasuredPoses
-from calibration.identification.open_loop import OpenLoop, simulate
+from calibration.identification.open_loop import OpenLoop, OpenLoopStart, simulate
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.sway import FreeSway
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -40,8 +42,10 @@ class CoordinateFit:
 
     Attributes:
         coordinates: shape (k,).
-        covariance: shape (k, k).
-        information: Fisher information of the data alone, shape (k, k).
+        covariance: shape (k, k); the unknown start is taken into account.
+        information: Fisher information of the data alone, shape (k, k), less what the unknown start
+            takes from it.
+        start: Coordinates of the sway at the start, shape (2 m,).
         excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
         converged: True if the last step was small.
@@ -50,6 +54,7 @@ class CoordinateFit:
     coordinates: Array
     covariance: Array
     information: Array
+    start: Array
     excess: float
     iterations: int
     converged: bool
@@ -63,6 +68,7 @@ class Fitter:
         unknowns: Coordinates,
         path: LengthPath,
         poses: MeasuredPoses,
+        sway: FreeSway,
         settings: IdentificationSettings,
     ) -> None:
         """Take the data.
@@ -71,13 +77,20 @@ class Fitter:
             unknowns: k coordinates.
             path: Readings.
             poses: Measured ones to be fitted.
+            sway: Unknown motion at the start, beside the k coordinates.
             settings: Settings of the computation.
         """
         self._unknowns = unknowns
         self._path = path
         self._poses = poses
         self._settings = settings
-        self._precision = unknowns.prior.information
+        self._sway = sway
+        self._count = len(unknowns.prior.names)
+        loose = len(sway.guess)
+        self._names = (*unknowns.prior.names, *sway.names)
+        self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
+        self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
+        self._precision = block_diag(unknowns.prior.information, np.eye(loose))
 
     def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
@@ -89,7 +102,7 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        at = self._unknowns.prior.mean
+        at = np.concatenate([self._unknowns.prior.mean, self._sway.guess])
         whole = self._poses
         for share in POSE_SHARES:
             self._poses = whole.rows(np.arange(round(share * len(whole.time))))
@@ -98,14 +111,24 @@ class Fitter:
         noise = estimate_noise(errors)
         information, _ = self._normal(at, errors, jacobian, noise)
         excess = self._excess(errors, jacobian, noise, information)
+        information /= excess
+        own = slice(self._count)
         return CoordinateFit(
-            coordinates=at,
-            covariance=np.asarray(np.linalg.inv(information / excess + self._precision), float),
-            information=information / excess,
+            coordinates=at[own],
+            covariance=np.asarray(np.linalg.inv(information + self._precision)[own, own], float),
+            information=self._marginal(information),
+            start=at[self._count :],
             excess=excess,
             iterations=count,
             converged=settled,
         )
+
+    def _marginal(self, information: Array) -> Array:
+        """Return what is left for the robot of an information (Schur complement), (k, k)."""
+        own, start = slice(self._count), slice(self._count, None)
+        known = (information + self._precision)[start, start]
+        cross = information[own, start]
+        return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
 
     def _settle(
         self, at: Array, steps: int | None, report: ProgressCallback
@@ -144,26 +167,29 @@ class Fitter:
         return max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _simulated(self, points: Array) -> tuple[OpenLoop, NDArray[np.bool_]]:
-        """Simulate robots at coordinates (B, k); return motions, and which robots exist."""
+        """Simulate robots at coordinates (B, k + 2 m); return motions, and which robots exist."""
         robots: list[Robot] = []
         exists = np.ones(len(points), dtype=np.bool_)
         for k, point in enumerate(points):
             try:
-                robots.append(self._unknowns.robot_at(point))
+                robots.append(self._unknowns.robot_at(point[: self._count]))
             except InvalidField:
                 robots.append(self._unknowns.robot)
                 exists[k] = False
-        motion = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
+        start = OpenLoopStart(sway=self._sway, coordinates=points[:, self._count :])
+        motion = simulate(
+            robots, self._path, self._poses.time, time_step=self._settings.time_step, start=start
+        )
         return motion, exists & ~motion.failed
 
     def _linearised(self, at: Array) -> tuple[Array, Array]:
-        """Return the errors (K, 6) and their Jacobian (K, 6, k)."""
+        """Return the errors (K, 6) and their Jacobian (K, 6, k + 2 m)."""
         motion, good = self._simulated(
             np.vstack([at, at + FINITE_DIFFERENCE_STEP * np.eye(len(at))])
         )
         if not good.all():
             row = int(np.argmin(good))
-            beside = f" with another {self._unknowns.prior.names[row - 1]}" if row else ""
+            beside = f" with another {self._names[row - 1]}" if row else ""
             raise CarosacError(f"identification: no finite motion of the robot{beside}")
         errors = [
             self._poses.errors(motion.position[:, k], motion.rotation[:, k])
@@ -176,7 +202,7 @@ class Fitter:
     def _normal(
         self, at: Array, errors: Array, jacobian: Array, noise: PoseErrorNoise
     ) -> tuple[Array, Array]:
-        """Return the information of the data (k, k), and gradient with the prior (k,)."""
+        """Return the information of the data, and the gradient with the prior."""
         weights = noise.weights(errors)
         information = np.einsum("nci,nc,ncj->ij", jacobian, weights, jacobian)
         pull = np.einsum("nci,nc->i", jacobian, weights * errors)
@@ -209,7 +235,7 @@ class Fitter:
 
     def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
         """Return the coordinates that are not held at their bound."""
-        return np.asarray(~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0)))
+        return np.asarray(~((at <= self._lower + 1e-9) & (gradient > 0.0)))
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""
@@ -219,11 +245,11 @@ class Fitter:
 
     def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return the end of a damped step; coordinates that would leave their bound stay on it."""
-        lower, free = self._unknowns.lower, self._free(at, gradient)
+        lower, free = self._lower, self._free(at, gradient)
         stiff = hessian + damping * np.diag(np.diag(hessian))
         step = np.zeros(len(at))
         step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
-        longest = float(np.abs(step / self._unknowns.prior.sigma).max())
+        longest = float(np.abs(step / self._sigma).max())
         return np.asarray(np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower))
 
 

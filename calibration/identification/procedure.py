@@ -7,9 +7,16 @@ from numpy.typing import NDArray
 
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
-from calibration.identification.open_loop import simulate
-from calibration.identification.result import Identification, RestErrors, ScoredRange
+from calibration.identification.open_loop import OpenLoopStart, first_equilibrium, simulate
+from calibration.identification.result import (
+    FirstMotion,
+    Identification,
+    MeanPoseComparison,
+    RestErrors,
+    ScoredRange,
+)
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.sway import FreeSway, find_sway
 from calibration.identification.unknowns import choose_coordinates
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
@@ -21,12 +28,15 @@ from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.first_motion import first_speed
+from carosac_toolkit.validation.phases import (
+    anchors_at,
+    find_phases,
+)
 from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
-REST_SPEED_MAX_M_S = 0.05  # a platform that is faster does not rest
 MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
 START_DISTANCE_MAX_M = 0.5  # [m]
 MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
@@ -43,8 +53,10 @@ def identify(
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
 
-    The simulation always begins at the first sample, at rest. Parameters and their covariances in
-    the robot file are what is known before; the settings stand for what it does not say.
+    The simulation always begins at the first sample. How far the platform is from its equilibrium
+    there along its free directions (fewer than six cables), and how fast it moves, is estimated
+    too. Parameters and their covariances in the robot file are what is known before; the settings
+    stand for what it does not say.
 
     Args:
         recording: Readings of the lengths and measured poses, as recorded.
@@ -65,22 +77,29 @@ def identify(
     fitted = poses.within(*train).thinned(chosen.rate)
     unknowns = choose_coordinates(robot, chosen)
     path = LengthPath(recording)
-    before = _motion(robot, path, poses, chosen)
+    first = first_speed(
+        robot, recording.time, recording.unstrained_length, poses.time, poses.position,
+        poses.rotation,
+    )  # fmt: skip
+    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
+    before = _motion(robot, path, poses, chosen, sway, sway.guess)
     _check_start(before)
-    fit = Fitter(unknowns, path, fitted, chosen).run(report)
+    fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(identified, path, poses, chosen)
-    first_speed = _first_speed(poses)
+    after = _motion(identified, path, poses, chosen, sway, fit.start)
+    against_mean = _against_mean(robot, poses, after, test or train)
     scored = None if test is None else _part(poses, before, after, test)
     return Identification(
         before=robot,
-        warnings=tuple(_warnings(fit, first_speed, scored)),
+        warnings=tuple(_warnings(fit, scored, against_mean)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
         train=_part(poses, before, after, train),
         test=scored,
         rests=_rests(recording, robot, identified, poses),
+        first_motion=FirstMotion.of(sway, fit.start, first),
+        against_mean=against_mean,
         measured=poses,
         position_before=before[:, :3] + poses.position,
         position_after=after[:, :3] + poses.position,
@@ -128,9 +147,12 @@ def _motion(
     path: LengthPath,
     poses: MeasuredPoses,
     settings: IdentificationSettings,
+    sway: FreeSway,
+    coordinates: Array,
 ) -> Array:
     """Return the errors of a robot's simulation at all measured poses, shape (K, 6)."""
-    motion = simulate([robot], path, poses.time, time_step=settings.time_step)
+    start = OpenLoopStart(sway=sway, coordinates=coordinates[None])
+    motion = simulate([robot], path, poses.time, time_step=settings.time_step, start=start)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
@@ -151,20 +173,26 @@ def _check_start(errors: Array) -> None:
     if away > START_DISTANCE_MAX_M:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
-            "lengths and poses of this robot, which rests at sample 0, within "
+            "lengths and poses of this robot, whose first pose is that of its first lengths within "
             f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped "
             "cables and wrong units"
         )
         raise InvalidField("recording", got, allowed)
 
 
-def _first_speed(poses: MeasuredPoses) -> float:
-    """Return the speed of the platform in the first half second [m/s]."""
-    rows = poses.time - poses.time[0] <= 0.5
-    if rows.sum() < 2:
-        rows[:2] = True
-    reach = poses.position[rows][-1] - poses.position[rows][0]
-    return float(np.linalg.norm(reach) / (poses.time[rows][-1] - poses.time[rows][0]))
+def _against_mean(
+    robot: Robot, poses: MeasuredPoses, errors: Array, span: Range
+) -> MeanPoseComparison:
+    """Compare the errors of a simulation (K, 6) in some samples with those of the mean pose."""
+    from scipy.spatial.transform import Rotation
+
+    rows = _rows(poses, *span)
+    measured = anchors_at(robot, poses.position[rows], poses.rotation[rows])
+    turned = poses.rotation[rows] @ Rotation.from_rotvec(errors[rows, 3:]).as_matrix()
+    simulated = anchors_at(robot, poses.position[rows] + errors[rows, :3], turned)
+    distances = (simulated - measured, measured - measured.mean(axis=0))
+    missed, spread = (float(np.sqrt((each**2).sum(axis=2).mean())) for each in distances)
+    return MeanPoseComparison(start=span[0], stop=span[1], missed=missed, spread=spread)
 
 
 def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
@@ -179,15 +207,19 @@ def _scores(errors: Array) -> PoseScores:
     return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
 
 
-def _warnings(fit: CoordinateFit, first_speed: float, test: ScoredRange | None) -> list[str]:
+def _warnings(
+    fit: CoordinateFit, test: ScoredRange | None, against_mean: MeanPoseComparison
+) -> list[str]:
     """Return what must not be overlooked."""
     lines = []
     if not fit.converged:
         lines.append(f"the search had not settled after {fit.iterations} steps")
-    if first_speed > REST_SPEED_MAX_M_S:
+    if against_mean.useless:
         lines.append(
-            f"the platform moves at the first sample, by {first_speed:.2g} m/s, where the "
-            "simulation begins at rest: cut the recording so that it begins in a rest"
+            f"the identified robot is of no use: in samples {against_mean.start}:"
+            f"{against_mean.stop} its anchor points miss the measured ones by "
+            f"{against_mean.missed * 1e3:.1f} mm RMS, where their own mean positions miss them by "
+            f"{against_mean.spread * 1e3:.1f} mm"
         )
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:
         lines.append("the identified robot is worse than before on the samples kept back")

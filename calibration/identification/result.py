@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from calibration.identification.measured_poses import MeasuredPoses
+from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameter_names import field_of
+from carosac_toolkit.validation.first_motion import FirstSpeed
 from carosac_toolkit.validation.scores import PoseScores
 
 CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known
@@ -66,13 +68,84 @@ class RestErrors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class FirstMotion:
+    """Motion at the first sample, estimated beside the robot.
+
+    Attributes:
+        frequency: Of the free modes there, for the robot before [Hz], shape (m,).
+        displacement: From the equilibrium along these modes, of the anchor point that moves most
+            [m], shape (m,).
+        speed: Of the same [m/s], shape (m,).
+        measured_speed: Of the fastest anchor point in the first samples, RMS [m/s].
+        moves: True if that is no rest.
+    """
+
+    frequency: Array
+    displacement: Array
+    speed: Array
+    measured_speed: float
+    moves: bool
+
+    @classmethod
+    def of(cls, sway: FreeSway, coordinates: Array, first: FirstSpeed) -> FirstMotion:
+        """Return the motion of coordinates (2 m,) along free directions."""
+        displacement, speed = sway.values(coordinates)
+        return cls(
+            frequency=sway.frequency / (2.0 * np.pi),
+            displacement=displacement,
+            speed=speed,
+            measured_speed=first.speed,
+            moves=first.moves,
+        )
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON."""
+        return {
+            "moves": self.moves,
+            "measured_speed_m_per_s": self.measured_speed,
+            "frequency_Hz": self.frequency,
+            "displacement_m": self.displacement,
+            "speed_m_per_s": self.speed,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanPoseComparison:
+    """Simulated against constant poses, on samples that were kept back if there are any.
+
+    Attributes:
+        start: First length sample.
+        stop: One past the last.
+        missed: RMS distance of simulated from measured anchor points [m].
+        spread: RMS distance of the measured anchor points from their means [m].
+    """
+
+    start: int
+    stop: int
+    missed: float
+    spread: float
+
+    @property
+    def useless(self) -> bool:
+        """True if a platform that stands still would be no worse."""
+        return not self.missed < self.spread
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON."""
+        samples = {"start": self.start, "stop": self.stop}
+        return {**samples, "missed_m": self.missed, "spread_m": self.spread}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Identification(CalibrationResult):
     """An identified robot and how well it moves as measured.
 
     Attributes:
         train: Samples that were fitted.
         test: Samples that were not; None where none were kept back.
-        rests: Mean poses at rest.
+        rests: Mean poses while the winches rest.
+        first_motion: Sway at the first sample.
+        against_mean: Comparison with the mean pose; the robot is of no use if that is better.
         measured: All measured poses, K of them, in W.
         position_before: Of the robot as it was known [m], shape (K, 3).
         position_after: Of the identified robot [m], shape (K, 3).
@@ -86,6 +159,8 @@ class Identification(CalibrationResult):
     train: ScoredRange
     test: ScoredRange | None
     rests: RestErrors
+    first_motion: FirstMotion
+    against_mean: MeanPoseComparison
     measured: MeasuredPoses
     position_before: Array
     position_after: Array
@@ -103,6 +178,8 @@ class Identification(CalibrationResult):
             "parameters": self.estimate.data(),
             "observability": self.observability.data(),
             "rests": self.rests.data(),
+            "first_motion": self.first_motion.data(),
+            "against_mean_pose": self.against_mean.data(),
             "iterations": self.iterations,
             "converged": self.converged,
             "fitted_samples": self.fitted_samples,
@@ -116,10 +193,11 @@ class Identification(CalibrationResult):
             lines.append(self._scores("kept back", self.test))
         else:
             lines.append("no samples were kept back: nothing says how well this carries over")
+        lines += self._first_motion()
         if len(self.rests.after):
             lines.append(
-                f"mean pose of {len(self.rests.after)} rests against the equilibrium of their "
-                f"lengths: {_rms(self.rests.before) * 1e3:.1f} mm before, "
+                f"mean pose of {len(self.rests.after)} rests of the winches against the "
+                f"equilibrium of their lengths: {_rms(self.rests.before) * 1e3:.1f} mm before, "
                 f"{_rms(self.rests.after) * 1e3:.1f} mm after (largest "
                 f"{np.nanmax(self.rests.after) * 1e3:.1f} mm)"
             )
@@ -136,6 +214,22 @@ class Identification(CalibrationResult):
             f"({x:.1f}/{y:.1f}/{z:.1f} mm), {np.degrees(part.after.orientation_rmse):.2f} degrees; "
             f"before: {part.before.rmse[3] * 1e3:.1f} mm"
         )
+
+    def _first_motion(self) -> list[str]:
+        """Say that the recording begins in motion, or nothing."""
+        motion = self.first_motion
+        if not motion.moves:
+            return []
+        line = f"the platform moves at the first samples, by {motion.measured_speed:.2g} m/s"
+        modes = [
+            f"{frequency:.2f} Hz: {place * 1e3:.0f} mm, {speed:.2g} m/s"
+            for frequency, place, speed in zip(
+                motion.frequency, motion.displacement, motion.speed, strict=True
+            )
+        ]
+        if modes:
+            line += f"; its sway there was estimated too ({'; '.join(modes)})"
+        return [line]
 
     def _excess(self) -> str:
         """Return what the noise model does not explain, or nothing."""

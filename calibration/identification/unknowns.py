@@ -32,6 +32,7 @@ _FACTOR_FIELDS = (
     "drag",
     "angular_drag",
 )
+_NOT_NEGATIVE_FIELDS = ("run_length", "length_delay")  # estimators cannot look ahead
 _PER_CABLE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
 
 
@@ -145,7 +146,7 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     )
     lower = np.full(len(names), -np.inf)
     for i, name in enumerate(names):
-        if field_of(name) == "run_length":
+        if field_of(name) in _NOT_NEGATIVE_FIELDS and start[i] >= 0.0:
             lower[i] = -start[i] / scale[i]
     return Coordinates(
         robot=robot,

@@ -39,6 +39,15 @@ def from_matrix(rotation: Array) -> Array:
     return np.asarray(np.where(quaternion[:, :1] < 0, -quaternion, quaternion))
 
 
+def from_rotation_vector(vector: Array) -> Array:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector))
+    cross = cross_matrix(vector)
+    half = np.sinc(0.5 * angle / np.pi)  # sin(x) / x of half the angle
+    turn = np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
+    return np.asarray(turn)
+
+
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
     """Interpolate along the shorter great arc.
 

@@ -1,8 +1,8 @@
 """Run models open loop on a recording and score them against its measured poses.
 
 Each model is an estimator. It gets the recorded cable lengths in order from the first sample, never
-a measured pose. Prints errors at rest and in motion and what explains them, and writes pictures
-and one self-contained report.html.
+a measured pose. Prints errors with resting and with moving winches and what explains them, and
+writes pictures and one self-contained report.html.
 
 Exit status 1 means that a model failed altogether (the others are scored), or that lengths and
 poses of the recording do not belong together as they are, as with wrong units.
@@ -137,7 +137,8 @@ def _print(
     lines = [
         f"{context.recording}: {len(recording.time)} samples, {recording.duration:.1f} s{at}; "
         f"scored {result.samples} samples ({result.start}:{result.stop}), "
-        f"{int(result.resting.sum())} of them at rest",
+        f"{int(result.resting.sum())} of them with the winches at rest"
+        + (", where the platform moves" if result.sways_at_rest else ""),
         f"robot {result.robot.name}" + (f" ({context.guess})" if context.guess else ""),
         recording.metadata.description.split(". ")[0].rstrip(".") + ".",
     ]

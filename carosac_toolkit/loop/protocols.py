@@ -43,6 +43,14 @@ class Estimator(Protocol):
         """
 
 
+@runtime_checkable
+class SupportsMovingStart(Protocol):
+    """An estimator of motion that can start away from rest."""
+
+    def reset_moving(self, measurement: Measurement, first: Belief) -> Belief:
+        """Start from a first measurement and the pose and twist at that time."""
+
+
 class Controller(Protocol):
     """Controller of cable lengths from belief and reference; ``batched`` as for estimators.
 

@@ -128,12 +128,13 @@ def _html(
         *warnings(result.warnings),
         bullets(sentences),
         f"<h2>Errors</h2><p>{part_units(result)}. Error is model minus measured, in world frame W. "
-        f"At rest means that no cable length changes faster than {REST_SPEED_MAX_M_S * 1e3:g} mm/s "
+        f"Winches rest where no cable length changes faster than {REST_SPEED_MAX_M_S * 1e3:g} mm/s "
         f"for at least {REST_DURATION_MIN_S:g} s; the platform may still sway.</p>",
         table(PART_HEADER, part_rows(result), left=2),
-        "<h2>What may explain them</h2><p>Delay: least squares of the error in motion on the "
-        "measured velocity; positive means that poses are late against the lengths. Sway: the "
-        "frequency that fits the error at rest best, on the axis that swings most.</p>",
+        "<h2>What may explain them</h2><p>Delay: least squares of the error with moving winches "
+        "on the measured velocity; positive means that poses are late against the lengths. Sway: "
+        "the frequency that fits the error with resting winches best, on the axis that swings "
+        "most.</p>",
         table(CAUSE_HEADER, cause_rows(result), left=1),
         *pictures(images, VALIDATION_CAPTIONS),
         "<h2>Provenance</h2>",
@@ -154,7 +155,7 @@ def _provenance(result: ValidationResult, context: Context) -> dict[str, str]:
         "cite": metadata.citation,
         "written by": metadata.created_by,
         "samples scored": f"{result.samples} of {result.start}:{result.stop}, "
-        f"{len(result.rests)} rests",
+        f"{len(result.rests)} rests of the winches",
         "robot": f"{robot.name}: {robot.description}",
         "robot chosen by": context.guess,
         "robot licence": robot.licence,

@@ -83,6 +83,16 @@ def _doubts(result: ValidationResult) -> Iterator[str]:
                 f"they are not in its scores (with its last pose kept there, the RMSE would be "
                 f"{say_length(model.rmse_with_failures)})."
             )
+    if result.sways_at_rest:
+        yield (
+            "The platform moves while the winches rest: its fastest anchor point by "
+            f"{result.rest_speed:.2g} m/s RMS. These samples do not show a platform at rest."
+        )
+    if result.starts_moving:
+        yield (
+            "The platform moves at the first sample: models that can, such as simulator, start "
+            "from its measured pose and speed there."
+        )
     if result.unscored:
         yield f"{result.unscored} samples have no measured pose nearby and were not scored."
 
@@ -98,7 +108,7 @@ def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
 
 
 def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[str]:
-    """Compare the errors at rest and in motion."""
+    """Compare the errors with winches at rest and in motion."""
     if best.moving is None or best.resting is None:
         return
     if min(best.moving.samples, best.resting.samples) < CAUSE_SAMPLES_MIN:
@@ -112,7 +122,7 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
     else:
         saying = "part of the error comes with the motion"
     yield (
-        f"With the winches at rest its error is {say_length(resting)}, in motion "
+        f"With the winches at rest its error is {say_length(resting)}, with moving ones "
         f"{say_length(moving)}: {saying}."
     )
 
@@ -123,8 +133,9 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
     if sway is None or not sway.clear or sway.amplitude < SWAY_MIN_M:
         return
     text = (
-        f"At rest the error in {sway.axis} swings by {sway.amplitude * 1e3:.0f} mm with a period "
-        f"of {1.0 / sway.frequency:.2f} s, which explains {sway.explained:.0%} of its variation: "
+        f"With the winches at rest the error in {sway.axis} swings by "
+        f"{sway.amplitude * 1e3:.0f} mm with a period of {1.0 / sway.frequency:.2f} s, which "
+        f"explains {sway.explained:.0%} of its variation: "
     )
     if best.moves:
         text += "the platform seems to sway with another phase or amplitude than in the model"
@@ -178,8 +189,8 @@ def _offset(best: ModelResult) -> Iterator[str]:
             if use
         )
         yield (
-            f"At rest most of the error in some axes is constant ({values}): geometry, lengths or "
-            "poses have an offset."
+            "With the winches at rest most of the error in some axes is constant "
+            f"({values}): geometry, lengths or poses have an offset."
         )
 
 

@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.robot.robot import Robot
 
 REST_SPEED_MAX_M_S = 0.01  # [m/s]: fastest cable that still counts as resting
+# A platform rests below this speed: above the noise of measured poses, and of readings at rest.
+PLATFORM_REST_SPEED_MAX = Scaled(0.05, "m/s", least=0.01)
 REST_DURATION_MIN_S = 0.5  # [s]: shortest rest
 SLOPE_WINDOW_S = 0.15  # [s] before and after a sample
 
@@ -46,6 +50,27 @@ def find_phases(time: Array, length: Array) -> Phases:
     for first, end in rests:
         resting[first:end] = True
     return Phases(resting=resting, rests=rests)
+
+
+def anchors_at(robot: Robot, position: Array, rotation: Array) -> Array:
+    """Return the anchor points of poses (N, 3) and (N, 3, 3) in W [m], shape (N, n, 3)."""
+    return np.asarray(position[:, None] + robot.anchor_points @ rotation.swapaxes(1, 2))
+
+
+def anchor_speed(robot: Robot, time: Array, position: Array, rotation: Array) -> Array:
+    """Return the speed of the fastest anchor point at each measured pose [m/s], shape (N,).
+
+    Anchor points, so that a platform that only turns moves too.
+
+    Args:
+        robot: Robot description.
+        time: Strictly increasing [s], shape (N,).
+        position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3).
+    """
+    anchors = anchors_at(robot, position, rotation)
+    rate = slope(time, anchors.reshape(len(time), -1)).reshape(anchors.shape)
+    return np.asarray(np.linalg.norm(rate, axis=2).max(axis=1))
 
 
 def slope(time: Array, value: Array, window: float = SLOPE_WINDOW_S) -> Array:

@@ -11,19 +11,22 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.plugin_builder import build_plugin
-from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.another_robot import another_robot, cable_count_hint
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
-from carosac_toolkit.validation.phases import find_phases, slope
+from carosac_toolkit.validation.first_motion import STATE_POSES_MIN, first_speed, first_state
+from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
 
+SIX_CABLES = 6  # so many cables leave a platform no free direction
 DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
 
 
@@ -40,7 +43,8 @@ def validate(
 
     Each model gets the measurements in order from sample 0, poses withheld; `start` and `stop`
     limit what is scored. Samples without a measured pose nearby are left out and counted. A model
-    that raises costs its own scores only.
+    that raises costs its own scores only. Where the platform moves at sample 0, models that can
+    (`SupportsMovingStart`) start from its measured pose and speed there.
 
     Args:
         recording: With measured poses and lengths, as it was recorded: what the robot says of its
@@ -77,7 +81,10 @@ def validate(
     phases = find_phases(recording.time, recording.unstrained_length)
     rests = _kept(phases.rests, index)
     lengths = recording.unstrained_length[index]
-    scoring = _Scoring(recording, robot, index, measured, phases.resting[index], rests)
+    resting = phases.resting[index]
+    speed = anchor_speed(robot, recording.time[index], measured.position, measured.rotation)
+    first = _first_motion(recording, robot)
+    scoring = _Scoring(recording, robot, index, measured, resting, rests, first)
     return ValidationResult(
         robot=robot,
         start=start,
@@ -86,9 +93,11 @@ def validate(
         index=index,
         time=recording.time[index],
         measured=measured,
-        resting=phases.resting[index],
+        resting=resting,
         rests=rests,
         models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
+        starts_moving=first is not None,
+        rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
         warnings=(*other, *find_mix_ups(robot, lengths, measured)),
@@ -133,6 +142,7 @@ class _Scoring:
         measured: Pose,
         resting: NDArray[np.bool_],
         rests: tuple[tuple[int, int], ...],
+        first: Belief | None,
     ) -> None:
         self._recording = recording
         self._robot = robot
@@ -140,6 +150,7 @@ class _Scoring:
         self._measured = measured
         self._resting = resting
         self._rests = rests
+        self._first = first
         poses = recording.poses
         assert poses is not None
         rates = slope(poses.time, poses.position)
@@ -151,7 +162,7 @@ class _Scoring:
         """Run and score one model."""
         try:
             model = build_plugin(target, self._robot, where=name, seed=seed)
-            return self._score(name, run_open_loop(model, self._recording, stop))
+            return self._score(name, run_open_loop(model, self._recording, stop, self._first))
         except (Exception, SystemExit) as error:  # a user's model may raise anything
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             return ModelResult(name=name, reason=reason)
@@ -218,6 +229,23 @@ class _Scoring:
     def _solved_rests(self, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
         """Return the rests of which a model solved every sample."""
         return [(a, b) for a, b in self._rests if good[a:b].all()]
+
+
+def _first_motion(recording: Recording, robot: Robot) -> Belief | None:
+    """Return pose and twist at the first sample, or None where the platform rests or is unseen."""
+    matched = recording.pose_at(recording.time)
+    rows = np.flatnonzero(matched.valid)
+    if len(rows) < STATE_POSES_MIN or rows[0] > 0 or robot.n >= SIX_CABLES:
+        return None
+    time, length = recording.time, recording.unstrained_length
+    position, rotation = matched.pose.position[rows], matched.pose.rotation[rows]
+    moves = first_speed(robot, time, length, time[rows], position, rotation).moves
+    if not moves or (length[0] <= 0.0).any():
+        return None
+    rest = forward_kinematics(robot, length[:1])
+    if not (rest.converged & rest.stable).all():
+        return None
+    return first_state(robot, rest, time[rows], position, rotation)
 
 
 def _kept(

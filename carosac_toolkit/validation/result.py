@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.diagnostics import Delay, RestSway
-from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, REST_SPEED_MAX_M_S
+from carosac_toolkit.validation.phases import (
+    PLATFORM_REST_SPEED_MAX,
+    REST_DURATION_MIN_S,
+    REST_SPEED_MAX_M_S,
+)
 from carosac_toolkit.validation.scores import LengthScores, PoseScores
 
 
@@ -31,8 +36,8 @@ class ModelResult:
         moves: True if it estimates a twist: a model of motion, not of rest.
         converged: True where it reports a solution, shape (S,); elsewhere it keeps its last pose.
         scores: Scores of all samples.
-        moving: Scores of the samples in motion.
-        resting: Scores of the samples at rest.
+        moving: Scores of the samples with winches in motion.
+        resting: Scores of the samples with winches at rest.
         rmse_with_failures: In norm, over all S samples, kept poses included [m].
         length_error: Measured minus predicted unstrained length [m], shape (S, n). Predicted is the
             length at the *measured* pose of a straight cable (chord and wrapped arc) or, for a
@@ -44,7 +49,7 @@ class ModelResult:
         stretch: Mean elongation of cable and run [m]; None for a model without tensions.
         delay: Apparent delay, from the samples in motion.
         rmse_without_delay: RMSE of `moving`, in norm, corrected for that delay [m].
-        sway: Swing of the error at rest, or None where the rests are too short.
+        sway: Swing of the error with winches at rest, or None where the rests are too short.
         update_time: Median wall time of an update [s].
     """
 
@@ -111,6 +116,10 @@ class ValidationResult:
         resting: True where the winches rest, shape (S,).
         rests: First and one past the last of these samples for each rest.
         models: By name, in the order asked for.
+        starts_moving: True if the platform moves at sample 0; models that can start from its pose
+            and speed there.
+        rest_speed: Speed of the fastest anchor point while the winches rest, RMS [m/s]; None where
+            they never do.
         natural_frequency: Predictions of statics at the rests [Hz], medians, slowest first, (6,);
             None where there is no rest or no stable equilibrium.
         exit_point_distance: Largest distance of an exit point measured in the run from the
@@ -129,6 +138,8 @@ class ValidationResult:
     resting: NDArray[np.bool_]
     rests: tuple[tuple[int, int], ...]
     models: Mapping[str, ModelResult]
+    starts_moving: bool = False
+    rest_speed: float | None = None
     natural_frequency: Array | None = None
     exit_point_distance: float | None = None
     warnings: tuple[str, ...] = ()
@@ -138,6 +149,12 @@ class ValidationResult:
         """Median distance of the exit points from the measured positions [m]."""
         away = self.measured.position[:, None] - self.robot.exit_points
         return float(np.median(np.linalg.norm(away, axis=2)))
+
+    @property
+    def sways_at_rest(self) -> bool:
+        """True if the platform moves while the winches rest."""
+        limit = PLATFORM_REST_SPEED_MAX.of(Scales(self.robot).ratios)
+        return self.rest_speed is not None and self.rest_speed > limit
 
     @property
     def samples(self) -> int:
@@ -164,8 +181,10 @@ class ValidationResult:
                 "count": len(self.rests),
                 "speed_below_m_per_s": REST_SPEED_MAX_M_S,
                 "for_at_least_s": REST_DURATION_MIN_S,
+                "platform_speed_rms_m_per_s": self.rest_speed,
                 "natural_frequencies_Hz": self.natural_frequency,
             },
+            "starts_moving": self.starts_moving,
             "exit_point_distance_m": self.exit_point_distance,
             "warnings": self.warnings,
             "models": {name: model.data(names) for name, model in self.models.items()},

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.loop import checked_belief
-from carosac_toolkit.loop.protocols import Estimator
+from carosac_toolkit.loop.protocols import Estimator, SupportsMovingStart
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.recordings.recording import Recording
 
@@ -53,7 +53,9 @@ def load_model(name: str) -> Any:
     return target
 
 
-def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun:
+def run_open_loop(
+    model: Estimator, recording: Recording, stop: int, first: Belief | None = None
+) -> ModelRun:
     """Feed a model the samples 0 <= i < stop in order, measured poses withheld.
 
     The command given with sample i is the newest recorded one that is not later than the sample;
@@ -63,6 +65,8 @@ def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun
         model: The estimator.
         recording: N length samples.
         stop: One past the last sample, <= N.
+        first: Pose and twist at the first sample, from which a model that can starts; None: at
+            rest.
     """
     beliefs: list[Belief] = []
     seconds = np.empty(stop)
@@ -71,9 +75,12 @@ def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun
         measurement = recording.measurement(index)
         command = _command(recording, measurement, previous)
         start = perf_counter()
-        belief = (
-            model.update(beliefs[-1], command, measurement) if beliefs else model.reset(measurement)
-        )
+        if beliefs:
+            belief = model.update(beliefs[-1], command, measurement)
+        elif first is not None and isinstance(model, SupportsMovingStart):
+            belief = model.reset_moving(measurement, first)
+        else:
+            belief = model.reset(measurement)
         seconds[index] = perf_counter() - start
         beliefs.append(checked_belief(belief, measurement))
         previous = measurement

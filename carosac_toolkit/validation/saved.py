@@ -43,7 +43,8 @@ def samples_bytes(result: ValidationResult) -> bytes:
     }  # fmt: skip
     rest = {
         "robot": robot, "models": models, "start": result.start, "stop": result.stop,
-        "seed": result.seed, "warnings": list(result.warnings),
+        "seed": result.seed, "warnings": list(result.warnings), "rest_speed": result.rest_speed,
+        "starts_moving": result.starts_moving,
     }  # fmt: skip
     return npz_bytes(VALIDATION_KEY, rest, arrays)
 
@@ -78,6 +79,8 @@ def _result(rest: dict[str, Any], arrays: dict[str, Any]) -> ValidationResult:
         resting=arrays["resting"],
         rests=tuple((int(a), int(b)) for a, b in arrays["rests"]),
         models={k: _model(k, known, arrays, measured) for k, known in rest["models"].items()},
+        starts_moving=rest.get("starts_moving", False),
+        rest_speed=rest.get("rest_speed"),
         warnings=tuple(rest["warnings"]),
     )
 

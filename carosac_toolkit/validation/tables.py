@@ -28,11 +28,15 @@ def part_units(result: ValidationResult) -> str:
 
 
 def part_rows(result: ValidationResult) -> Rows:
-    """Return the scores of all, moving and resting samples per model."""
+    """Return the scores per model of all samples, and with winches moving and resting."""
     rows: Rows = []
     _, factor = _part_unit(result)
     for name, model in result.models.items():
-        parts = {"all": model.scores, "moving": model.moving, "resting": model.resting}
+        parts = {
+            "all": model.scores,
+            "winches moving": model.moving,
+            "winches resting": model.resting,
+        }
         for k, (part, scores) in enumerate(parts.items()):
             if scores is None:
                 if k == 0:

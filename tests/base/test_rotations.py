@@ -32,6 +32,13 @@ def test_quaternions_come_back_from_matrices():
     np.testing.assert_allclose(quaternions.to_matrix(quaternion), matrix, atol=3e-15)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0])
+def test_rotation_vectors_turn_as_scipy_says(angle):
+    vector = angle * np.array([0.6, -0.64, 0.48])
+    wanted = Rotation.from_rotvec(vector).as_matrix()
+    assert quaternions.from_rotation_vector(vector) == pytest.approx(wanted, abs=1e-15)
+
+
 def test_slerp_turns_at_a_constant_rate_the_shorter_way():
     start, end = rotations(100)[:50], rotations(100)[50:100]
     q0, q1 = (np.roll(r.as_quat(), 1, axis=1) for r in (start, end))

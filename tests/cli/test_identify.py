@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import carosac_toolkit as ct
+from calibration.identification.result import MeanPoseComparison
 from calibration.identification.synthetic import RunSettings, simulate_run
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.robot.file import robot_text
@@ -49,6 +50,15 @@ def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     assert "carosac identify, samples 0:80 of run.parquet" in Path("new.yaml").read_text()
     found = {path.name for path in Path("report").glob("[!.]*")}
     assert found == {"motion.png", "rests.png", "learnt.png", "report.html"}
+
+
+def test_a_robot_of_no_use_is_not_written(run_file, capsys, monkeypatch):
+    monkeypatch.setattr(MeanPoseComparison, "useless", True)
+    assert main(words(run_file, "--test", "80:100", "--output", "new.yaml")) == 1
+    captured = capsys.readouterr()
+    assert "no robot file was written: new.yaml would be of no use" in captured.out
+    assert "the identified robot is of no use: in samples 80:100" in captured.err
+    assert not Path("new.yaml").exists()
 
 
 @pytest.mark.parametrize(

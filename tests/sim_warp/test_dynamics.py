@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
+from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
 from sim_warp import Simulator
 from tests import reference as cable_reference
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
@@ -149,6 +151,51 @@ def test_slow_and_fast_modes_have_the_frequencies_of_the_linearised_statics(robo
             p0=[f, speed[0], 0.0],
         )
         assert found == pytest.approx(f, rel=2e-3), mode
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight", "particles"])
+def test_a_platform_released_away_from_equilibrium_swings_in_its_linear_mode(cables):
+    """From 1 mm aside the motion is a cosine of the mode's frequency, and gains no energy."""
+    robot = undamped(with_pulleys(simple_robot()))
+    if cables == "straight":
+        robot = replace(robot, linear_density=np.full(4, 1e-7))
+    rest = aside(robot)
+    modes = natural_modes(robot, rest)
+    f, shape = modes.frequency[0, 0], modes.shape[0, :, 0]
+    amplitude = 1e-3 / np.linalg.norm(shape)
+    sim = Simulator(robot, cables=cables, time_step=0.004 / f, cable_drag=0.0)
+    turn = Rotation.from_rotvec(amplitude * shape[3:]).as_matrix() @ rest.rotation[0]
+    place = rest.position + amplitude * shape[:3]
+    sim.reset(place, turn[None], unstrained_length=rest.unstrained_length)
+    start = sim.state.numpy()
+    assert start.position == pytest.approx(place, abs=1e-12)
+    assert start.rotation[0] == pytest.approx(turn, abs=1e-12)
+    assert np.array_equal(start.unstrained_length, rest.unstrained_length)
+    mass = mass_matrix(robot, rest.rotation, rest.unstrained_length)[0]
+    time, share, energy = 0.05 / f * np.arange(1, 61), [], []
+    for _ in time:
+        sim.step(rest.unstrained_length, 0.05 / f)
+        state = sim.state.numpy()
+        share.append((state.position[0] - rest.position[0]) @ shape[:3] / (shape[:3] @ shape[:3]))
+        energy.append(0.5 * state.twist[0] @ mass @ state.twist[0])
+    share = np.array(share) / amplitude
+    (found, height), _ = curve_fit(
+        lambda t, f, a: a * np.cos(2.0 * np.pi * f * t), time, share, p0=[f, 1.0]
+    )
+    assert found == pytest.approx(f, rel=2e-3)
+    assert height == pytest.approx(1.0, abs=0.02)
+    assert max(energy) == pytest.approx(0.5 * (2.0 * np.pi * f * amplitude) ** 2, rel=0.05)
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight", "particles"])
+def test_a_platform_released_at_its_equilibrium_stays_there(cables):
+    robot = with_pulleys(simple_robot())
+    sim = Simulator(robot, cables=cables)
+    sim.reset(aside(robot).position)
+    rest = sim.state.numpy()
+    sim.reset(rest.position, rest.rotation, unstrained_length=rest.unstrained_length)
+    sim.step(rest.unstrained_length, 1.0)
+    assert sim.state.numpy().position == pytest.approx(rest.position, abs=1e-8)
 
 
 @pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(eight_cable_robot())])

@@ -150,8 +150,16 @@ def test_a_bad_command_is_refused_and_nothing_has_moved(call, command, duration,
         ({"unstrained_length": np.full((2, 4), -9.0)}, r"unstrained_length\[0, 0\]: got -9.0 m"),
         ({"unstrained_length": np.full((1, 4), 9.0)}, r"unstrained_length: got shape \(1, 4\)"),
         (
-            {"unstrained_length": np.full((2, 4), 9.0), "position": np.zeros((2, 3))},
-            "unstrained_length: got lengths and a pose; allowed: one of them",
+            {"unstrained_length": np.full((2, 4), 9.0), "rotation": np.tile(np.eye(3), (2, 1, 1))},
+            "position: got None; allowed: a position beside rotation and unstrained_length",
+        ),
+        (
+            {"unstrained_length": np.full((1, 4), 9.0), "position": np.zeros((2, 3))},
+            r"unstrained_length: got shape \(1, 4\); allowed: 2 rows",
+        ),
+        (
+            {"unstrained_length": np.full((2, 4), -9.0), "position": np.zeros((2, 3))},
+            r"unstrained_length\[0, 0\]: got -9.0 m",
         ),
         ({"worlds": [2]}, r"worlds: got \[2\]; allowed: indices below 2"),
         ({"worlds": [-1]}, r"worlds: got \[-1\]; allowed: indices below 2"),

@@ -5,6 +5,7 @@ import pytest
 
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.findings import _sag, conclusions
+from tests.calibration.identification.oscillations import free_oscillation
 from tests.validation.models import NAME
 from tests.validation.runs import ROBOT, perfect, shifted
 
@@ -72,6 +73,16 @@ def test_sway_is_named_with_its_period():
     assert "nearest natural frequency" in text
 
 
+def test_a_platform_that_moves_while_the_winches_rest_is_named():
+    recording = perfect()
+    assert "The platform moves while the winches rest" not in said(recording)
+    swing = np.zeros((len(recording.time), 3))
+    swing[:, 0] = 0.05 * np.sin(2 * np.pi * 0.5 * recording.time)
+    result = validate(shifted(recording, swing), ROBOT, [KS])
+    assert result.rest_speed == pytest.approx(0.05 * np.pi / np.sqrt(2.0), rel=0.1)
+    assert "its fastest anchor point by 0.11 m/s RMS" in " ".join(conclusions(result))
+
+
 def test_a_model_that_moves_is_not_blamed_for_knowing_rest_alone():
     recording = perfect()
     swing = np.zeros((len(recording.time), 3))
@@ -102,3 +113,15 @@ def test_another_robot_is_suspected():
 @pytest.mark.parametrize("models", [(f"{NAME}:Raising",)])
 def test_without_any_score_only_the_reason_is_left(models):
     assert said(perfect(), models) == f"{models[0]} has no scores: RuntimeError: no luck."
+
+
+def test_the_simulator_starts_from_the_measured_motion_of_a_free_oscillation():
+    """At rest it would miss by the whole swing; the other model is not told the first pose."""
+    recording, (position, _) = free_oscillation(ROBOT, 1, swing=0.15, duration=6.0)
+    result = validate(recording, ROBOT, [KS, "simulator"])
+    swing = np.sqrt(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean())
+    assert result.models[KS].scores.rmse[3] > 0.9 * swing
+    assert result.models["simulator"].scores.rmse[3] < 0.15 * swing
+    assert result.starts_moving
+    assert "start from its measured pose and speed" in " ".join(conclusions(result))
+    assert not validate(perfect(), ROBOT, [KS]).starts_moving

@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, find_phases, slope
+from carosac_toolkit.validation.phases import (
+    REST_DURATION_MIN_S,
+    anchor_speed,
+    find_phases,
+    slope,
+)
+from tests.robots import simple_robot
 
 
 def test_the_slope_of_a_line_is_exact_at_uneven_times():
@@ -34,3 +41,12 @@ def test_slow_and_short_pauses_are_told_apart():
 def test_one_sample_rests_nowhere():
     assert slope(np.zeros(1), np.ones((1, 4))).tolist() == [[0.0] * 4]
     assert find_phases(np.zeros(1), np.ones((1, 4))).rests == ()
+
+
+def test_a_platform_that_turns_about_its_origin_moves():
+    robot = simple_robot()
+    time = np.arange(0.0, 2.0, 0.02)
+    turn = Rotation.from_rotvec(np.outer(0.5 * time, [0.0, 0.0, 1.0])).as_matrix()
+    arm = np.linalg.norm(robot.anchor_points[:, :2], axis=1).max()
+    speed = anchor_speed(robot, time, np.zeros((len(time), 3)), turn)
+    assert speed == pytest.approx(0.5 * arm, rel=0.01)

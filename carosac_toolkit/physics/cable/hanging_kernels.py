@@ -120,6 +120,7 @@ def hanging_points(
     rotation: wp.array(dtype=wp.mat33d),
     unstrained_length: wp.array2d(dtype=wp.float64),
     tension: wp.array2d(dtype=wp.float64),
+    q: wp.array2d(dtype=wp.vec3d),
     closure: wp.array2d(dtype=wp.float64),
     points: wp.array3d(dtype=wp.vec3d),
 ):
@@ -132,6 +133,7 @@ def hanging_points(
         guess_cable(anchor, length, cable), anchor, length, cable, SETTLED_CLOSURE_MAX * length, 100
     )
     tension[b, i] = wp.length(settled.hanging.force)
+    q[b, i] = settled.q
     closure[b, i] = wp.length(settled.hanging.closure)
     for k in range(points.shape[2]):
         points[b, i, k] = point_of(settled.hanging, settled.q, cable, k, points.shape[2])

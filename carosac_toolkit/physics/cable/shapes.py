@@ -13,6 +13,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.device import check_call, device_robot
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot.robot import Robot
 
 HANGING_CLOSURE_MAX_M = 1e-9  # [m]: a cable that misses its anchor point by more has not been found
@@ -26,16 +27,18 @@ class HangingCables:
         points: Along the free cable in W [m], shape (B, n, samples, 3), tangent point first,
             anchor point last, evenly spaced in unstrained length.
         tension: At the platform [N], shape (B, n).
+        exit_tension: Tension vector at the exit, pointing from platform to exit [N], (B, n, 3).
         valid: Whether the cable was found, shape (B, n); where it is False the rest is NaN.
     """
 
     points: Array
     tension: Array
+    exit_tension: Array
     valid: NDArray[np.bool_]
 
 
 def hanging_cables(
-    robot: Robot,
+    robot: Robot | Fleet,
     position: ArrayLike,
     rotation: ArrayLike,
     unstrained_length: ArrayLike,
@@ -46,7 +49,7 @@ def hanging_cables(
     """Hang cables of known length at a pose that need not be one of rest.
 
     Args:
-        robot: Robot description, n cables.
+        robot: Robot description, n cables; a `Fleet` has a robot for each row.
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3).
         unstrained_length: Datum to anchor [m], shape (B, n); NaN or <= 0 where there is no cable.
@@ -76,19 +79,21 @@ def hanging_cables(
     cables, _ = device_robot(robot, device)
     tension = wp.zeros(shape, dtype=wp.float64, device=device)
     closure = wp.zeros(shape, dtype=wp.float64, device=device)
+    q = wp.zeros(shape, dtype=wp.vec3d, device=device)
     points = wp.zeros((*shape, samples), dtype=wp.vec3d, device=device)
     inputs = [
         cables,
         wp.array(where, dtype=wp.vec3d, device=device),
         wp.array(turn, dtype=wp.mat33d, device=device),
         wp.array(np.where(known, length, 1.0), dtype=wp.float64, device=device),
-        tension, closure, points,
+        tension, q, closure, points,
     ]  # fmt: skip
     wp.launch(hanging_kernels.hanging_points, shape, inputs=inputs, device=device)
     valid = known & (closure.numpy() <= HANGING_CLOSURE_MAX_M)
     return HangingCables(
         points=np.where(valid[..., None, None], points.numpy(), np.nan),
         tension=np.where(valid, tension.numpy(), np.nan),
+        exit_tension=np.where(valid[..., None], q.numpy(), np.nan),
         valid=valid,
     )
 

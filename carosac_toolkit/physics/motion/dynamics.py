@@ -10,6 +10,7 @@ The fast model of the simulator and the dynamic estimator are this one piece of 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +30,40 @@ CAROSAC_CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass
 NodelessCables = Literal["catenary", "straight"]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Placement:
+    """K poses at which worlds start, with their n cables there.
+
+    Attributes:
+        position: Platform origin in W [m], shape (K, 3).
+        rotation: From P to W, shape (K, 3, 3).
+        unstrained_length: [m], shape (K, n).
+        tension: At the platform [N], shape (K, n).
+        exit_tension: Tension vector at the exit [N], shape (K, n, 3).
+        at_rest: True if these are equilibria.
+    """
+
+    position: Array
+    rotation: Array
+    unstrained_length: Array
+    tension: Array
+    exit_tension: Array
+    at_rest: bool
+
+    @classmethod
+    def of(cls, rest: Equilibrium, rows: NDArray[np.bool_] | None = None) -> Placement:
+        """Return some equilibria, or all of them."""
+        keep = slice(None) if rows is None else rows
+        return cls(
+            position=rest.position[keep],
+            rotation=rest.rotation[keep],
+            unstrained_length=rest.unstrained_length[keep],
+            tension=rest.tension[keep],
+            exit_tension=rest.exit_tension[keep],
+            at_rest=True,
+        )
+
+
 def cable_drag_of(robot: Robot) -> float:
     """Return the default air drag of the cables per mass [1/s]: less for a larger robot.
 
@@ -43,17 +78,17 @@ def place_worlds(
     plants: Any,
     worlds: Any,
     which: NDArray[np.int32],
-    rest: Equilibrium,
+    start: Placement,
     twist: Array,
     device: str,
 ) -> wp.array:
-    """Put worlds at equilibria with a twist, winches at rest.
+    """Put worlds where they start with a twist, winches at rest.
 
     Args:
         plants: `Plants` struct.
         worlds: `Worlds` struct.
         which: Worlds, shape (K,).
-        rest: K equilibria.
+        start: K poses.
         twist: At the platform origin in W, linear first, shape (K, 6).
         device: Warp device.
 
@@ -64,11 +99,11 @@ def place_worlds(
     rows = wp.array(which, dtype=int, device=device)
     inputs = [
         plants, worlds, rows,
-        wp.array(rest.position, dtype=wp.vec3d, device=device),
-        wp.array(rest.rotation, dtype=wp.mat33d, device=device),
+        wp.array(start.position, dtype=wp.vec3d, device=device),
+        wp.array(start.rotation, dtype=wp.mat33d, device=device),
         wp.array(twist, dtype=vec6d, device=device),
-        wp.array(rest.unstrained_length, dtype=wp.float64, device=device),
-        wp.array(rest.tension, dtype=wp.float64, device=device),
+        wp.array(start.unstrained_length, dtype=wp.float64, device=device),
+        wp.array(start.tension, dtype=wp.float64, device=device),
     ]  # fmt: skip
     wp.launch(world_kernels.place, len(which), inputs=inputs, device=device)
     return rows
@@ -160,10 +195,10 @@ class NodelessDynamics:
         """Arrays that a world needs to continue, beside its `Worlds`."""
         return {"q": self.hung.q}
 
-    def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Put worlds at equilibria with a twist; see `place_worlds`."""
-        rows = place_worlds(self._plants, self._worlds, which, rest, twist, self._device)
-        q = wp.array(rest.exit_tension, dtype=wp.vec3d, device=self._device)
+    def place(self, which: NDArray[np.int32], start: Placement, twist: Array) -> None:
+        """Put worlds where they start with a twist; see `place_worlds`."""
+        rows = place_worlds(self._plants, self._worlds, which, start, twist, self._device)
+        q = wp.array(start.exit_tension, dtype=wp.vec3d, device=self._device)
         wp.launch(
             dynamics_kernels.place_hung, len(which), inputs=[rows, q, self.hung],
             device=self._device,

@@ -140,12 +140,32 @@ def test_lengths_that_hang_the_robot_elsewhere_are_refused(robot, run):
         identify(shifted, robot, FEW, train=(0, 200))
 
 
-def test_a_start_in_motion_is_warned_of(robot, run):
+def test_a_recording_that_begins_while_the_winches_move_is_fitted(robot, run):
     recording = run.recording
     middle = int(np.argmax(np.abs(np.diff(recording.unstrained_length, axis=0)).max(axis=1)))
     late = recording.slice(middle)
-    found = identify(late, robot, replace(FEW, iterations=1), train=(0, 200))
-    assert any("moves at the first sample" in line for line in found.warnings)
+    found = identify(late, robot, FEW, train=(0, len(late.time)))
+    assert found.first_motion.moves and "moves at the first samples" in " ".join(found.sentences())
+    assert found.train.after.rmse[3] < 4e-3
+    off = (found.estimate.value - values_of(run.plant, found.estimate.names)) / found.estimate.sigma
+    assert np.abs(off).max() < 3.5
+
+
+def test_a_robot_that_predicts_no_better_than_a_constant_pose_is_named(robot, run):
+    count = len(run.recording.time)
+    cut = round(0.7 * count)
+    poses = run.recording.poses
+    late = poses.time >= run.recording.time[cut]
+    mirrored = np.where(
+        late[:, None], 2.0 * poses.position[late].mean(axis=0) - poses.position, poses.position
+    )
+    odd = replace(run.recording, poses=replace(poses, position=mirrored))
+    few = replace(FEW, iterations=1)
+    against = identify(odd, robot, few, train=(0, cut), test=(cut, count)).against_mean
+    assert against.useless and against.missed > 1.5 * against.spread
+    assert (against.start, against.stop) == (cut, count)
+    sound = identify(run.recording, robot, few, train=(0, cut))
+    assert not sound.against_mean.useless and sound.against_mean.stop == cut
 
 
 def test_another_number_of_cables_is_refused(run):

@@ -46,6 +46,13 @@ def test_a_skew_inertia_stays_possible():
     assert np.linalg.eigvalsh(unknowns.robot_at(point).inertia)[0] > 0.0
 
 
+def test_a_delay_stays_at_or_above_zero(unknowns):
+    """An estimator cannot look ahead, and refuses a robot that asks for it."""
+    row = unknowns.prior.names.index("length_delay")
+    robot = unknowns.robot_at(np.maximum(np.full(len(unknowns.lower), -3.0), unknowns.lower))
+    assert unknowns.lower[row] == 0.0 and robot.length_delay == 0.0
+
+
 def test_run_length_moves_at_a_constant_stiffness_of_the_whole_cable(unknowns):
     point = np.zeros(len(unknowns.prior.names))
     point[unknowns.prior.names.index("run_length")] = 1.5

@@ -1,0 +1,167 @@
+"""Sway with which a recording begins: displacement and speed along the free directions.
+
+With n < 6 cables of constant lengths a platform still moves in 6 - n directions. How far it is from
+its equilibrium at the first sample, and how fast it moves there, are unknown beside the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, null_space
+from scipy.spatial.transform import Rotation
+
+from calibration.identification.measured_poses import MeasuredPoses
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.loop.values import Belief, Pose
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.held_lengths import moved_pose, pose_on_lengths, twist_on_rates
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import first_state
+from carosac_toolkit.validation.phases import anchors_at
+
+REST_DISPLACEMENT_SIGMA = Scaled(0.01, "m", least=1e-3)  # of a platform that seems to rest
+MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that moves
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FreeSway:
+    """Free directions of a platform at rest, m = 6 - n of them, none with six cables or more.
+
+    The coordinates of a start are m displacements from the equilibrium and m speeds, each over its
+    prior sigma; their prior mean is 0.
+
+    Attributes:
+        shape: Columns are twists (linear first, in W, at the origin) that move the fastest anchor
+            point by 1 m/s, shape (6, m); modes of the platform on cables that do not stretch.
+        frequency: Of these modes [rad/s], slowest first, shape (m,).
+        sigma: Prior sigma of the displacements [m], then of the speeds [m/s], shape (2 m,).
+        guess: Coordinates from which a search begins, shape (2 m,).
+    """
+
+    shape: Array
+    frequency: Array
+    sigma: Array
+    guess: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        count = range(len(self.frequency))
+        words = ("displacement", "speed")
+        return tuple(f"start.{word}[{i}]" for word in words for i in count)
+
+    def values(self, coordinates: Array) -> tuple[Array, Array]:
+        """Return displacements [m] and speeds [m/s] along the free directions, each (..., m)."""
+        parts = np.split(self.sigma * coordinates, 2, axis=-1)
+        return parts[0], parts[1]
+
+    def state(
+        self, robot: Robot, rest: Pose, length: Array, rate: Array, coordinates: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return where a robot starts.
+
+        The displaced platform is moved on to where its straight cables are as long as at rest, so
+        that a large swing does not stretch them.
+
+        Args:
+            robot: Robot description, n cables.
+            rest: Its equilibrium, B = 1.
+            length: Unstrained lengths there [m], shape (n,).
+            rate: Of the lengths [m/s], shape (n,).
+            coordinates: shape (2 m,).
+
+        Returns:
+            Position [m], (3,), rotation, (3, 3), and twist of the platform origin in W, (6,).
+        """
+        displacement, speed = self.values(coordinates)
+        position, rotation = pose_on_lengths(
+            robot, *moved_pose(rest.position[0], rest.rotation[0], self.shape @ displacement),
+            straight_length(robot, rest.position, rest.rotation).length[0],
+        )  # fmt: skip
+        twist = twist_on_rates(robot, position, rotation, length, rate, self.shape @ speed)
+        return position, rotation, twist
+
+
+def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: bool) -> FreeSway:
+    """Find the free directions at rest, and guess the first motion from measured poses.
+
+    Args:
+        robot: Robot description, n cables.
+        rest: Its equilibrium on the first lengths, B = 1.
+        poses: Measured ones, from the start on.
+        moves: True if the platform moves at first; otherwise the guess is rest.
+    """
+    jacobian = -structure_matrix(robot, rest.position, rest.rotation)[0].T
+    mass = mass_matrix(robot, rest.rotation, rest.unstrained_length)[0]
+    basis = null_space(jacobian) if robot.n < len(jacobian.T) else np.zeros((6, 0))
+    squared, weights = np.zeros(0), np.zeros((0, 0))
+    if basis.size:
+        stiffness = 0.5 * (rest.stiffness[0] + rest.stiffness[0].T)
+        squared, weights = eigh(basis.T @ stiffness @ basis, basis.T @ mass @ basis)
+    modes = basis @ weights
+    arms = anchors_at(robot, np.zeros((1, 3)), rest.rotation)[0]
+    speeds = [np.linalg.norm(c[:3] + np.cross(c[3:], arms), axis=1).max() for c in modes.T]
+    shape = modes / np.array(speeds)
+    frequency = np.sqrt(np.abs(squared))
+    floor = np.full(len(frequency), REST_DISPLACEMENT_SIGMA.of(Scales(robot).ratios))
+    sigma = np.concatenate([floor, frequency * floor])
+    guess = np.zeros(len(sigma))
+    if moves and len(frequency):
+        first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
+        guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
+        swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
+        reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
+        sigma = np.concatenate([reach, frequency * reach])
+    return FreeSway(shape=shape, frequency=frequency, sigma=sigma, guess=guess / sigma)
+
+
+def swaying_states(
+    sway: FreeSway,
+    robots: Sequence[Robot],
+    rest: Pose,
+    length: Array,
+    rate: Array,
+    coordinates: Array,
+) -> tuple[Array, Array, Array]:
+    """Return where B robots start; see `FreeSway.state`.
+
+    Args:
+        sway: Their free directions.
+        robots: B robots.
+        rest: Their equilibria, B of them.
+        length: Unstrained lengths [m], shape (B, n).
+        rate: Of these [m/s], shape (B, n).
+        coordinates: shape (B, 2 m).
+
+    Returns:
+        Positions (B, 3), rotations (B, 3, 3) and twists (B, 6).
+    """
+    states = [
+        sway.state(
+            robot, Pose(position=rest.position[b : b + 1], rotation=rest.rotation[b : b + 1]),
+            length[b], rate[b], coordinates[b],
+        )
+        for b, robot in enumerate(robots)
+    ]  # fmt: skip
+    position, rotation, twist = zip(*states, strict=True)
+    return np.array(position), np.array(rotation), np.array(twist)
+
+
+def _guess(rest: Equilibrium, first: Belief, root: Array, shape: Array) -> Array:
+    """Return displacements [m] and speeds [m/s] of a state along the free directions, (2 m,).
+
+    The nearest in the metric of the kinetic energy, whose root is `root`.
+    """
+    assert first.twist is not None
+    turned = Rotation.from_matrix(first.rotation[0] @ rest.rotation[0].T).as_rotvec()
+    away = np.concatenate([first.position[0] - rest.position[0], turned])
+    along = np.linalg.pinv(root @ shape) @ root
+    return np.concatenate([along @ away, along @ first.twist[0]])
