@@ -142,19 +142,35 @@ class _View:
 
 
 class _TensionColors:
-    """Colours of tensions between the limits of a robot."""
+    """Colours of tensions within the limits of a robot, n cables, each with limits of its own."""
 
     def __init__(self, robot: Robot) -> None:
         from matplotlib import colormaps
         from matplotlib.colors import LogNorm, Normalize
 
-        low, high = float(robot.tension_min.max()), float(robot.tension_max.min())
-        self.norm = LogNorm(low, high) if low > 0.0 else Normalize(low, high)
+        self._low, self._high = robot.tension_min, robot.tension_max
+        self._positive = self._low[self._low > 0.0]
+        highest = float(self._high.max())
+        if self._positive.size:
+            self.norm: Normalize = LogNorm(float(self._positive.min()), highest)
+        else:
+            self.norm = Normalize(0.0, highest)
         self.map = colormaps[TENSION_MAP].with_extremes(under=SLACK_COLOR, over="black")
 
     def of(self, tension: Array) -> Any:
-        """Return colours, shape (n, 4)."""
-        return self.map(self.norm(np.maximum(tension, 1e-6)))
+        """Return colours of the tensions of the cables, shape (..., n), as (..., n, 4)."""
+        place = self.norm(np.clip(tension, self.norm.vmin, self.norm.vmax))
+        place = np.where(tension < self._low, -np.inf, place)
+        return self.map(np.where(tension > self._high, np.inf, place))
+
+    def slack_words(self) -> str:
+        """Say below which tension a cable is grey, or nothing if all may be slack."""
+        if not self._positive.size:
+            return ""
+        least, most = float(self._low.min()), float(self._low.max())
+        if least == most:
+            return f"; grey: slack, below {most:g} N"
+        return f"; grey: slack, below the limit of the cable, {least:g} to {most:g} N"
 
     def draw_bar(self, figure: Figure) -> None:
         """Draw the scale under the panels."""
@@ -162,14 +178,15 @@ class _TensionColors:
 
         axes = figure.add_axes((0.42, 0.29, 0.45, 0.016))
         bar = figure.colorbar(
-            ScalarMappable(self.norm, self.map), cax=axes, orientation="horizontal", extend="both"
-        )
+            ScalarMappable(self.norm, self.map), cax=axes, orientation="horizontal",
+            extend="both" if self._positive.size else "max",
+        )  # fmt: skip
         lowest, highest = self.norm.vmin or 0.0, self.norm.vmax or 0.0
         marks = _round_numbers(lowest, highest)
         bar.set_ticks(marks, labels=[f"{x:g}" for x in marks])
         bar.ax.tick_params(labelsize=9, length=2, pad=1)
         bar.ax.minorticks_off()
-        words = f"cable tension [N]; grey: slack, below {lowest:g} N"
+        words = f"cable tension [N]{self.slack_words()}"
         figure.text(0.40, 0.297, words, ha="right", va="center", fontsize=10)
 
 

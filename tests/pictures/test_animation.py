@@ -1,6 +1,7 @@
 """The animation shows what the simulator computed, in real time."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,10 +69,35 @@ def test_it_plays_in_real_time_and_repeats(motions, monkeypatch):
 
 def test_colours_are_those_of_the_tensions(motions):
     colors = animation._TensionColors(motions[0].plant)  # 5 to 500 N
-    slack, low, middle, high, over = colors.of(np.array([0.0, 5.0, 50.0, 500.0, 501.0]))
+    tension = np.tile([[0.0], [5.0], [50.0], [500.0], [501.0]], motions[0].plant.n)
+    slack, low, middle, high, over = colors.of(tension)[:, 0]
     ends = colors.map(np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose([low, middle, high], ends, atol=0.02)
     assert np.ptp(slack[:3]) < 0.1 and tuple(over[:3]) == (0.0, 0.0, 0.0)  # grey, black
+    assert colors.slack_words() == "; grey: slack, below 5 N"
+
+
+def test_each_cable_is_slack_below_its_own_limit():
+    robot = ct.load_robot("desktop")  # 4 cables
+    low, high = np.array([5.0, 5.0, 5.0, 200.0]), np.array([100.0, 500.0, 500.0, 500.0])
+    colors = animation._TensionColors(replace(robot, tension_min=low, tension_max=high))
+    assert (colors.norm.vmin, colors.norm.vmax) == (5.0, 500.0)
+    *within, slack = colors.of(np.full(4, 50.0))
+    assert np.ptp(slack[:3]) < 0.1  # 50 N of at least 200 N
+    np.testing.assert_allclose(within, [colors.map(0.5)] * 3, atol=0.02)
+    over, *within = colors.of(np.full(4, 300.0))
+    assert tuple(over[:3]) == (0.0, 0.0, 0.0) and all(color[:3].max() > 0.1 for color in within)
+    assert colors.slack_words() == "; grey: slack, below the limit of the cable, 5 to 200 N"
+
+
+def test_without_a_lower_limit_no_cable_is_grey():
+    robot = ct.load_robot("desktop")
+    colors = animation._TensionColors(replace(robot, tension_min=np.zeros(4)))
+    assert colors.slack_words() == ""
+    np.testing.assert_array_equal(colors.of(np.zeros(4)), np.tile(colors.map(0.0), (4, 1)))
+    mixed = replace(robot, tension_min=np.array([0.0, 1.0, 1.0, 1.0]))
+    free, *slack = animation._TensionColors(mixed).of(np.full(4, 0.5))
+    assert np.ptp(free[:3]) > 0.1 and all(np.ptp(color[:3]) < 0.1 for color in slack)
 
 
 def test_the_platform_is_drawn_with_the_faces_that_are_seen(motions):
