@@ -88,14 +88,15 @@ class _Stage:
         self._clock = figure.text(0.985, 0.962, "", ha="right", va="center", fontsize=12,
                                   family="monospace")  # fmt: skip
         figure.text(0.015, 0.962, _title(whole[0]), va="center", fontsize=14, weight="bold")
-        figure.text(0.015, 0.926, _subtitle(whole), va="center", fontsize=10.5, color="0.35")
+        figure.text(0.015, 0.926, _subtitle(whole[0]), va="center", fontsize=10.5, color="0.35")
         colors = _TensionColors(whole[0].plant)
         self._panels = [
             _Panel(figure.add_subplot(grid[0, k]), motion, self._views, colors, ERROR_COLORS[k])
             for k, motion in enumerate(sampled)
         ]
         for panel, motion in zip(self._panels, whole, strict=True):
-            panel.axes.set_title(_words(motion), fontsize=12.5, color=panel.color, weight="bold")
+            words = _words(motion) + (" (diverged)" if motion.diverged else "")
+            panel.axes.set_title(words, fontsize=12.5, color=panel.color, weight="bold")
         self._errors = _Errors(figure.add_subplot(grid[1, :]), whole)
         colors.draw_bar(figure)
 
@@ -128,7 +129,7 @@ class _View:
         back = np.array([-np.sin(side), np.cos(side), 0.0])
         up = np.array([0.0, 0.0, np.cos(VIEW_ELEVATION)]) + np.sin(VIEW_ELEVATION) * back
         view = cls(right, up, np.cross(right, up))
-        flat = view.project(np.vstack([motion.position for motion in motions]))
+        flat = view.project(np.vstack([motion.position for motion in _followed(motions)]))
         margin = MARGIN_SIZES * float(np.ptp(motions[0].plant.anchor_points, axis=0).max())
         low = flat.min(axis=0) - [margin, 1.7 * margin]  # a line of text stands below
         high = flat.max(axis=0) + margin
@@ -246,7 +247,7 @@ class _Errors:
         self._axes, self._motions = axes, motions
         moving = float(motions[0].time[_arrival(motions[0])])
         axes.axvspan(0.0, moving, color="0.94", zorder=0, lw=0)
-        top = 1.25e3 * max(float(motion.error.max()) for motion in motions)
+        top = 1.25e3 * max(float(motion.error.max()) for motion in _followed(motions))
         axes.set(xlim=(0.0, motions[0].time[-1]), ylim=(0.0, top))
         for start, words in ((0.0, "reference moves"), (moving, "reference rests")):
             axes.annotate(
@@ -279,10 +280,15 @@ def _title(motion: Motion) -> str:
     )
 
 
-def _subtitle(motions: Sequence[Motion]) -> str:
+def _subtitle(motion: Motion) -> str:
     """Say what the motions have in common."""
-    estimators = dict.fromkeys(f"{m.estimator.replace('_', ' ')} on {m.sensors}" for m in motions)
-    return f"same plant, wind and noise; {', '.join(estimators)}; circle: where it should be"
+    estimator = f"{motion.estimator.replace('_', ' ')} on {motion.sensors}"
+    return f"same plant, wind and noise; {estimator}; circle: where it should be"
+
+
+def _followed(motions: Sequence[Motion]) -> Sequence[Motion]:
+    """Return the motions that scales and duration fit: those that did not diverge, or all."""
+    return [motion for motion in motions if not motion.diverged] or motions
 
 
 def _words(motion: Motion) -> str:

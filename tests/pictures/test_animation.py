@@ -1,10 +1,12 @@
 """The animation shows what the simulator computed, in real time."""
 
 import io
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import carosac_toolkit as ct
@@ -13,7 +15,7 @@ from carosac_toolkit.pictures import animation
 from carosac_toolkit.pictures.animation import animation_webp
 from carosac_toolkit.pictures.motions import motions_of
 from carosac_toolkit.reports.study import check_animation, write_report
-from tests.studies.tables import case, good, series
+from tests.studies.tables import bad, case, good, series
 
 CONTROLLERS = ["straight_line", "kinematic_solver"]
 
@@ -130,6 +132,63 @@ def test_a_report_shows_it_first(results, motions, monkeypatch):
 def test_an_animation_that_could_not_be_drawn_is_refused(names, message):
     with pytest.raises(InvalidField, match=message):
         check_animation(names, ["a", "b", "c", "mpc"])
+
+
+def whole_row(which, samples=3, status="ok"):
+    """A row with a series that has all that a motion needs, of a platform at rest."""
+    robot = ct.load_robot("carosac")
+    lengths = np.linalg.norm(robot.exit_points - robot.home_position - robot.anchor_points, axis=1)
+    channels = {
+        "time_s": [0.5 * k for k in range(samples)], "reference_m": robot.home_position + 0.01,
+        "position_m": robot.home_position, "quaternion": [1.0, 0.0, 0.0, 0.0],
+        "tension_N": np.full(robot.n, 50.0), "unstrained_length_m": lengths,
+    }  # fmt: skip
+    repeated = {
+        name: np.asarray(value).tolist() if name == "time_s" else [list(value)] * samples
+        for name, value in channels.items()
+    }
+    return good(which, (0.1, 0.0, 0.0), series=json.dumps(repeated)) | {"status": status}
+
+
+def test_all_panels_show_the_same_case(tmp_path):
+    failed = bad(case("a", trajectory="line"), "no luck")
+    rows = [failed, *(whole_row(case("a", estimator=name)) for name in ("truth", "ekf"))]
+    rows += [whole_row(case("b", trajectory="line")), whole_row(case("b", estimator="ekf"))]
+    motions = motions_of(tmp_path, rows, ["a", "b"])
+    assert [(one.controller, one.estimator) for one in motions] == [("a", "ekf"), ("b", "ekf")]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"trajectory": "line"}, {"estimator": "ekf"}, {"sensors": "lengths+imu"}, {"seed": 1},
+        {"perturbation": "wind"}, {"robot": "scampi"},
+    ],
+)  # fmt: skip
+def test_panels_of_different_cases_are_refused(tmp_path, other):
+    rows = [whole_row(case("a")), whole_row(case("b", **other))]
+    with pytest.raises(
+        CarosacError, match="animation: a, b have no whole runs of the same robot, "
+    ):
+        motions_of(tmp_path, rows, ["a", "b"])
+
+
+def test_a_run_that_diverged_is_marked_and_does_not_set_the_scales(tmp_path):
+    rows = [whole_row(case("a")), whole_row(case("b"), status="diverged")]
+    good_one, lost = motions_of(tmp_path, rows, ["a", "b"])
+    assert (good_one.diverged, lost.diverged) == (False, True)
+    lost = replace(lost, position=lost.position + 1e3)
+    stage = animation._Stage(Figure(), [good_one, lost], [good_one, lost])
+    titles = [panel.axes.get_title() for panel in stage._panels]
+    assert titles == ["a", "b (diverged)"]
+    assert np.ptp(stage._views.limits, axis=0).max() < 10.0  # m
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_fewer_than_two_samples_are_refused(tmp_path, samples):
+    message = f"animation: samples of a: got {samples}; allowed: at least 2"
+    with pytest.raises(InvalidField, match=message):
+        motions_of(tmp_path, [whole_row(case("a"), samples)], ["a"])
 
 
 def test_a_run_without_tensions_and_lengths_is_refused(tmp_path):
