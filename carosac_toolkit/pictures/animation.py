@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRAMES_PER_SECOND = 20
+FRAMES_MAX = 300  # of longer motions a time lapse is shown
 LAST_FRAME_FRAMES = 24  # for which the last picture stays
 FIGURE_INCHES, DOTS_PER_INCH = (10.0, 6.7), 96
 WEBP_QUALITY, WEBP_METHOD = 70, 4
@@ -38,47 +40,83 @@ BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4
 
 
 def animation_webp(motions: Sequence[Motion]) -> bytes:
-    """Draw motions side by side in real time, as an animated WebP that repeats.
+    """Draw motions side by side, as an animated WebP that repeats.
+
+    In real time, or as a time lapse, which the picture states, if that would take more than
+    `FRAMES_MAX` frames or more than there are samples.
 
     Args:
         motions: Of one robot on one path, one to three.
     """
     from PIL import Image
 
-    frames = [Image.fromarray(pixels) for pixels in animation_frames(motions)]
-    duration = [round(1e3 / FRAMES_PER_SECOND)] * len(frames)
+    film = _Film(motions)
+    duration = [round(1e3 / FRAMES_PER_SECOND)] * film.n_frames
     duration[-1] *= LAST_FRAME_FRAMES
     with io.BytesIO() as buffer:
-        frames[0].save(
-            buffer, "WEBP", save_all=True, append_images=frames[1:], duration=duration, loop=0,
-            quality=WEBP_QUALITY, method=WEBP_METHOD,
+        Image.fromarray(film.pixels(0)).save(
+            buffer, "WEBP", save_all=True, append_images=[_LaterFrames(film)], duration=duration,
+            loop=0, quality=WEBP_QUALITY, method=WEBP_METHOD,
         )  # fmt: skip
         return buffer.getvalue()
 
 
-def animation_frames(motions: Sequence[Motion]) -> list[Any]:
-    """Return the pictures as arrays of colours, each of shape (height, width, 3)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+class _Film:
+    """Frames of motions, each drawn when it is asked for.
 
-    end = min(float(motion.time[-1]) for motion in motions)
-    time = np.arange(0.0, end, 1.0 / FRAMES_PER_SECOND)
-    figure = Figure(figsize=FIGURE_INCHES, dpi=DOTS_PER_INCH, facecolor="white")
-    canvas: Any = FigureCanvasAgg(figure)
-    stage = _Stage(figure, motions, [motion.at(time) for motion in motions])
-    frames = []
-    for k in range(len(time)):
-        stage.show(k)
-        canvas.draw()
-        frames.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    return frames
+    Attributes:
+        n_frames: Their number, 1 or more.
+        lapse: How many times faster than real time they play, >= 1.
+    """
+
+    def __init__(self, motions: Sequence[Motion]) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        followed = _followed(motions)
+        end = min(float(motion.time[-1]) for motion in followed)
+        most = min(FRAMES_MAX, *(len(motion.time) for motion in followed))
+        self.lapse = max(1, math.ceil(end * FRAMES_PER_SECOND / most))
+        count = math.ceil(end * FRAMES_PER_SECOND / self.lapse - 1e-9)  # rounding adds no frame
+        self.n_frames = max(1, count)
+        time = np.arange(self.n_frames) * self.lapse / FRAMES_PER_SECOND
+        figure = Figure(figsize=FIGURE_INCHES, dpi=DOTS_PER_INCH, facecolor="white")
+        self._canvas: Any = FigureCanvasAgg(figure)
+        sampled = [motion.at(time) for motion in motions]
+        self._stage = _Stage(figure, motions, sampled, self.lapse)
+
+    def pixels(self, k: int) -> Any:
+        """Draw frame `k`; return its colours, shape (height, width, 3)."""
+        self._stage.show(k)
+        self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class _LaterFrames:
+    """All frames but the first, as an image that Pillow seeks through: one is in memory."""
+
+    def __init__(self, film: _Film) -> None:
+        self._film = film
+        self._image: Any = None
+        self.n_frames = film.n_frames - 1
+
+    def seek(self, k: int) -> None:
+        """Draw a frame."""
+        from PIL import Image
+
+        self._image = Image.fromarray(self._film.pixels(k + 1))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["_image"], name)
 
 
 class _Stage:
     """Figure with one panel a motion and the errors below; `show` moves it to a time."""
 
-    def __init__(self, figure: Figure, whole: Sequence[Motion], sampled: Sequence[Motion]) -> None:
-        self._sampled = sampled
+    def __init__(
+        self, figure: Figure, whole: Sequence[Motion], sampled: Sequence[Motion], lapse: int
+    ) -> None:
+        self._pace = "real time" if lapse == 1 else f"{lapse} x real time"
         self._time = sampled[0].time
         self._views = _View.of(whole)
         grid = figure.add_gridspec(
@@ -105,7 +143,7 @@ class _Stage:
         for panel in self._panels:
             panel.show(k)
         self._errors.show(float(self._time[k]))
-        self._clock.set_text(f"{self._time[k]:.2f} s, real time")
+        self._clock.set_text(f"{self._time[k]:.2f} s, {self._pace}")
 
 
 class _View:

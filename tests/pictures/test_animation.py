@@ -2,6 +2,7 @@
 
 import io
 import json
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -134,12 +135,12 @@ def test_an_animation_that_could_not_be_drawn_is_refused(names, message):
         check_animation(names, ["a", "b", "c", "mpc"])
 
 
-def whole_row(which, samples=3, status="ok"):
+def whole_row(which, samples=3, status="ok", step=0.5):
     """A row with a series that has all that a motion needs, of a platform at rest."""
     robot = ct.load_robot("carosac")
     lengths = np.linalg.norm(robot.exit_points - robot.home_position - robot.anchor_points, axis=1)
     channels = {
-        "time_s": [0.5 * k for k in range(samples)], "reference_m": robot.home_position + 0.01,
+        "time_s": [step * k for k in range(samples)], "reference_m": robot.home_position + 0.01,
         "position_m": robot.home_position, "quaternion": [1.0, 0.0, 0.0, 0.0],
         "tension_N": np.full(robot.n, 50.0), "unstrained_length_m": lengths,
     }  # fmt: skip
@@ -178,10 +179,49 @@ def test_a_run_that_diverged_is_marked_and_does_not_set_the_scales(tmp_path):
     good_one, lost = motions_of(tmp_path, rows, ["a", "b"])
     assert (good_one.diverged, lost.diverged) == (False, True)
     lost = replace(lost, position=lost.position + 1e3)
-    stage = animation._Stage(Figure(), [good_one, lost], [good_one, lost])
+    stage = animation._Stage(Figure(), [good_one, lost], [good_one, lost], lapse=1)
     titles = [panel.axes.get_title() for panel in stage._panels]
     assert titles == ["a", "b (diverged)"]
     assert np.ptp(stage._views.limits, axis=0).max() < 10.0  # m
+
+
+@pytest.mark.parametrize(
+    ("samples", "step", "lapse", "frames"),
+    [
+        (500, 0.12, 4, 300),  # 60 s would be 1200 frames
+        (500, 0.01, 1, 100),
+        (50, 0.2, 4, 49),  # 9.8 s would be 196 frames of 50 samples
+        (2, 1.0, 10, 2),
+    ],
+)
+def test_no_more_frames_than_samples_or_the_most_and_the_lapse_is_stated(
+    tmp_path, samples, step, lapse, frames
+):
+    (motion,) = motions_of(tmp_path, [whole_row(case("a"), samples, step=step)], ["a"])
+    film = animation._Film([motion])
+    assert (film.lapse, film.n_frames) == (lapse, frames)
+    film._stage.show(frames - 1)
+    pace = "real time" if lapse == 1 else f"{lapse} x real time"
+    now = (frames - 1) * lapse / animation.FRAMES_PER_SECOND
+    assert film._stage._clock.get_text() == f"{now:.2f} s, {pace}"
+
+
+def test_one_frame_after_the_other_is_in_memory(tmp_path, monkeypatch):
+    (motion,) = motions_of(tmp_path, [whole_row(case("a"), 30, step=0.05)], ["a"])
+    monkeypatch.setattr(animation, "WEBP_METHOD", 0)
+    made, alive = [], []
+    convert = Image.fromarray
+
+    def watched(pixels):
+        image = convert(pixels)
+        made.append(weakref.ref(image))
+        alive.append(sum(one() is not None for one in made))
+        return image
+
+    monkeypatch.setattr(Image, "fromarray", watched)
+    picture = Image.open(io.BytesIO(animation_webp([motion])))
+    assert picture.n_frames == len(made) == 29
+    assert max(alive) <= 3  # the first, the last one and the new one
 
 
 @pytest.mark.parametrize("samples", [0, 1])
