@@ -139,7 +139,7 @@ def _animation(options: Options, results: StudyResults, width: int) -> bytes | N
     try:
         return animation_of(results, options.animation)
     except CarosacError as error:
-        print(wrapped(f"the animation is left out. {error}", width), flush=True)
+        print(wrapped(f"animation left out: {error}", width), flush=True)
         return None
 
 

@@ -198,8 +198,8 @@ class _TensionColors:
 
     def of(self, tension: Array) -> Any:
         """Return colours of the tensions of the cables, shape (..., n), as (..., n, 4)."""
-        place = self.norm(np.clip(tension, self.norm.vmin, self.norm.vmax))
-        place = np.where(tension < self._low, -np.inf, place)
+        scaled = self.norm(np.clip(tension, self.norm.vmin, self.norm.vmax))
+        place = np.where(tension < self._low, -np.inf, scaled)
         return self.map(np.where(tension > self._high, np.inf, place))
 
     def slack_words(self) -> str:

@@ -88,8 +88,7 @@ def motions_of(folder: Path, rows: Sequence[Row], controllers: Sequence[str]) ->
     shared = next((key for key in whole[0] if all(key in runs for runs in whole)), None)
     if shared is None:
         raise CarosacError(
-            f"animation: {', '.join(controllers)} have no whole runs of the same "
-            f"{', '.join(SHARED)}"
+            f"{', '.join(controllers)} have no whole runs of the same {', '.join(SHARED)}"
         )
     return [_motion(folder, *runs[shared]) for runs in whole]
 
@@ -105,7 +104,7 @@ def _whole_runs(rows: Sequence[Row], controller: str) -> dict[tuple[str, ...], R
             runs.setdefault(tuple(str(row[name]) for name in SHARED), (row, series))
     if not runs:
         raise CarosacError(
-            f"animation: no run of {controller} has poses, tensions and lengths: it failed, its "
+            f"no run of {controller} has poses, tensions and lengths: it failed, its "
             "driver does not know them, or the study is of an earlier version"
         )
     return runs
@@ -116,7 +115,7 @@ def _motion(folder: Path, row: Row, series: Mapping[str, Any]) -> Motion:
     time = np.array(series["time_s"])
     if len(time) < SAMPLES_MIN:
         controller, allowed = row["controller"], f"at least {SAMPLES_MIN}"
-        raise InvalidField(f"animation: samples of {controller}", str(len(time)), allowed)
+        raise InvalidField(f"samples of {controller}", str(len(time)), allowed)
     plant = plant_of(_case(row), robot_of_row(folder, row))
     quaternion = np.array(series["quaternion"])
     rotation = to_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))

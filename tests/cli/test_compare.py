@@ -267,7 +267,7 @@ def test_an_animation_that_cannot_be_drawn_costs_nothing_else(words, reason, cap
     captured = capsys.readouterr()
     data = json.loads(Path("x.json").read_text())
     assert status == (1 if any(line["failures"] for line in data["summary"]) else 0)
-    assert f"the animation is left out. animation: {reason}" in " ".join(captured.out.split())
+    assert f"animation left out: {reason}" in " ".join(captured.out.split())
     assert captured.err.count("carosac: ") == 0
     assert {"o/report.html", "o/tables.md", "o/tables.tex", "o/statistics.json"} <= set(names("o"))
     assert not Path("o/animation.webp").exists() and "report: o/report.html" in captured.out

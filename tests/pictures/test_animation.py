@@ -1,4 +1,4 @@
-"""The animation shows what the simulator computed, in real time."""
+"""The animation shows what the simulator computed, in real time or as a stated time lapse."""
 
 import io
 import json
@@ -168,9 +168,7 @@ def test_all_panels_show_the_same_case(tmp_path):
 )  # fmt: skip
 def test_panels_of_different_cases_are_refused(tmp_path, other):
     rows = [whole_row(case("a")), whole_row(case("b", **other))]
-    with pytest.raises(
-        CarosacError, match="animation: a, b have no whole runs of the same robot, "
-    ):
+    with pytest.raises(CarosacError, match="a, b have no whole runs of the same robot, "):
         motions_of(tmp_path, rows, ["a", "b"])
 
 
@@ -226,7 +224,7 @@ def test_one_frame_after_the_other_is_in_memory(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("samples", [0, 1])
 def test_fewer_than_two_samples_are_refused(tmp_path, samples):
-    message = f"animation: samples of a: got {samples}; allowed: at least 2"
+    message = f"samples of a: got {samples}; allowed: at least 2"
     with pytest.raises(InvalidField, match=message):
         motions_of(tmp_path, [whole_row(case("a"), samples)], ["a"])
 
@@ -234,7 +232,5 @@ def test_fewer_than_two_samples_are_refused(tmp_path, samples):
 def test_a_run_without_tensions_and_lengths_is_refused(tmp_path):
     row = good(case("a"), (0.1, 0.0, 0.0), series=series(0.1))
     row["series"] = row["series"].replace("}", ', "quaternion": null}')
-    with pytest.raises(
-        CarosacError, match="animation: no run of a has poses, tensions and lengths"
-    ):
+    with pytest.raises(CarosacError, match="no run of a has poses, tensions and lengths"):
         motions_of(tmp_path, [row], ["a"])
