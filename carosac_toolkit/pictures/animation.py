@@ -128,9 +128,10 @@ class _Stage:
         figure.text(0.015, 0.962, _title(whole[0]), va="center", fontsize=14, weight="bold")
         figure.text(0.015, 0.926, _subtitle(whole[0]), va="center", fontsize=10.5, color="0.35")
         colors = _TensionColors(whole[0].plant)
+        ends = [float(motion.time[-1]) for motion in whole]
         self._panels = [
-            _Panel(figure.add_subplot(grid[0, k]), motion, self._views, colors, ERROR_COLORS[k])
-            for k, motion in enumerate(sampled)
+            _Panel(figure.add_subplot(grid[0, k]), motion, end, self._views, colors, color)
+            for k, (motion, end, color) in enumerate(zip(sampled, ends, ERROR_COLORS, strict=False))
         ]
         for panel, motion in zip(self._panels, whole, strict=True):
             words = _words(motion) + (" (diverged)" if motion.diverged else "")
@@ -209,7 +210,7 @@ class _TensionColors:
         least, most = float(self._low.min()), float(self._low.max())
         if least == most:
             return f"; grey: slack, below {most:g} N"
-        return f"; grey: slack, below the limit of the cable, {least:g} to {most:g} N"
+        return "; grey: slack, below its own limit"
 
     def draw_bar(self, figure: Figure) -> None:
         """Draw the scale under the panels."""
@@ -230,13 +231,15 @@ class _TensionColors:
 
 
 class _Panel:
-    """One robot: frame, cables, platform, path and trail."""
+    """One robot: frame, cables, platform, path and trail; it stays as it was when its run ended."""
 
-    def __init__(self, axes: Any, motion: Motion, view: _View, colors: _TensionColors, color: str):
+    def __init__(
+        self, axes: Any, motion: Motion, end: float, view: _View, colors: _TensionColors, color: str
+    ) -> None:
         from matplotlib.collections import LineCollection, PolyCollection
 
         self.axes, self.color = axes, color
-        self._motion, self._view, self._colors = motion, view, colors
+        self._motion, self._end, self._view, self._colors = motion, end, view, colors
         self._box = _platform_box(motion.plant)
         axes.set(xlim=view.limits[:, 0], ylim=view.limits[:, 1], aspect="equal")
         axes.set(xticks=[], yticks=[], facecolor=GROUND_COLOR)
@@ -275,7 +278,8 @@ class _Panel:
         self._trail.set_color(fading)
         target = view.project(motion.reference[k])
         self._target.set_data([target[0]], [target[1]])
-        self._text.set_text(f"{1e3 * motion.error[k]:{FIGURE_SPACE}>3.0f} mm off")
+        ended = f", ended at {self._end:.1f} s" if motion.time[k] > self._end else ""
+        self._text.set_text(f"{1e3 * motion.error[k]:{FIGURE_SPACE}>3.0f} mm off{ended}")
 
 
 class _Errors:

@@ -90,7 +90,7 @@ def test_each_cable_is_slack_below_its_own_limit():
     np.testing.assert_allclose(within, [colors.map(0.5)] * 3, atol=0.02)
     over, *within = colors.of(np.full(4, 300.0))
     assert tuple(over[:3]) == (0.0, 0.0, 0.0) and all(color[:3].max() > 0.1 for color in within)
-    assert colors.slack_words() == "; grey: slack, below the limit of the cable, 5 to 200 N"
+    assert colors.slack_words() == "; grey: slack, below its own limit"
 
 
 def test_without_a_lower_limit_no_cable_is_grey():
@@ -181,6 +181,18 @@ def test_a_run_that_diverged_is_marked_and_does_not_set_the_scales(tmp_path):
     titles = [panel.axes.get_title() for panel in stage._panels]
     assert titles == ["a", "b (diverged)"]
     assert np.ptp(stage._views.limits, axis=0).max() < 10.0  # m
+
+
+def test_a_run_that_diverged_and_ended_early_does_not_cut_the_others(tmp_path):
+    rows = [whole_row(case("a"), 5), whole_row(case("b"), 3, status="diverged")]  # 2 s and 1 s
+    film = animation._Film(motions_of(tmp_path, rows, ["a", "b"]))
+    assert film.n_frames == 5
+    texts = []
+    for k in (1, 4):
+        film._stage.show(k)
+        texts += [panel._text.get_text() for panel in film._stage._panels]
+    assert ["ended" in text for text in texts] == [False, False, False, True]
+    assert texts[-1].endswith("mm off, ended at 1.0 s")
 
 
 @pytest.mark.parametrize(
