@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.cli.compare_options import Options
@@ -77,7 +77,7 @@ def run(options: Options) -> CommandResult:
     sentences, short = conclusions(results), headlines(results)
     blocks = paired_blocks(results, options.baseline)
     _print(results, short, width)
-    animation = animation_of(results, options.animation) if options.animation else None
+    animation = _animation(options, results, width)
     write_report(results, sentences, _words(options, study), blocks, animation)
     beside = "" if animation is None else f" and {ANIMATION_FILE}"
     print(f"report{beside}: {results.folder / 'report.html'}")
@@ -133,6 +133,17 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
         **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
     return study, left_out
+
+
+def _animation(options: Options, results: StudyResults, width: int) -> bytes | None:
+    """Draw the animation if one is asked for; if it cannot be drawn, print why."""
+    if not options.animation:
+        return None
+    try:
+        return animation_of(results, options.animation)
+    except CarosacError as error:
+        print(wrapped(f"animation left out: {error}", width), flush=True)
+        return None
 
 
 def _words(options: Options, study: Study) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRAMES_PER_SECOND = 20
+FRAMES_MAX = 300  # of longer motions a time lapse is shown
 LAST_FRAME_FRAMES = 24  # for which the last picture stays
 FIGURE_INCHES, DOTS_PER_INCH = (10.0, 6.7), 96
 WEBP_QUALITY, WEBP_METHOD = 70, 4
@@ -38,47 +40,83 @@ BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4
 
 
 def animation_webp(motions: Sequence[Motion]) -> bytes:
-    """Draw motions side by side in real time, as an animated WebP that repeats.
+    """Draw motions side by side, as an animated WebP that repeats.
+
+    In real time, or as a time lapse, which the picture states, if that would take more than
+    `FRAMES_MAX` frames or more than there are samples.
 
     Args:
         motions: Of one robot on one path, one to three.
     """
     from PIL import Image
 
-    frames = [Image.fromarray(pixels) for pixels in animation_frames(motions)]
-    duration = [round(1e3 / FRAMES_PER_SECOND)] * len(frames)
+    film = _Film(motions)
+    duration = [round(1e3 / FRAMES_PER_SECOND)] * film.n_frames
     duration[-1] *= LAST_FRAME_FRAMES
     with io.BytesIO() as buffer:
-        frames[0].save(
-            buffer, "WEBP", save_all=True, append_images=frames[1:], duration=duration, loop=0,
-            quality=WEBP_QUALITY, method=WEBP_METHOD,
+        Image.fromarray(film.pixels(0)).save(
+            buffer, "WEBP", save_all=True, append_images=[_LaterFrames(film)], duration=duration,
+            loop=0, quality=WEBP_QUALITY, method=WEBP_METHOD,
         )  # fmt: skip
         return buffer.getvalue()
 
 
-def animation_frames(motions: Sequence[Motion]) -> list[Any]:
-    """Return the pictures as arrays of colours, each of shape (height, width, 3)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+class _Film:
+    """Frames of motions, each drawn when it is asked for.
 
-    end = min(float(motion.time[-1]) for motion in motions)
-    time = np.arange(0.0, end, 1.0 / FRAMES_PER_SECOND)
-    figure = Figure(figsize=FIGURE_INCHES, dpi=DOTS_PER_INCH, facecolor="white")
-    canvas: Any = FigureCanvasAgg(figure)
-    stage = _Stage(figure, motions, [motion.at(time) for motion in motions])
-    frames = []
-    for k in range(len(time)):
-        stage.show(k)
-        canvas.draw()
-        frames.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    return frames
+    Attributes:
+        n_frames: Their number, 1 or more.
+        lapse: How many times faster than real time they play, >= 1.
+    """
+
+    def __init__(self, motions: Sequence[Motion]) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        followed = _followed(motions)
+        end = min(float(motion.time[-1]) for motion in followed)
+        most = min(FRAMES_MAX, *(len(motion.time) for motion in followed))
+        self.lapse = max(1, math.ceil(end * FRAMES_PER_SECOND / most))
+        count = math.ceil(end * FRAMES_PER_SECOND / self.lapse - 1e-9)  # rounding adds no frame
+        self.n_frames = max(1, count)
+        time = np.arange(self.n_frames) * self.lapse / FRAMES_PER_SECOND
+        figure = Figure(figsize=FIGURE_INCHES, dpi=DOTS_PER_INCH, facecolor="white")
+        self._canvas: Any = FigureCanvasAgg(figure)
+        sampled = [motion.at(time) for motion in motions]
+        self._stage = _Stage(figure, motions, sampled, self.lapse)
+
+    def pixels(self, k: int) -> Any:
+        """Draw frame `k`; return its colours, shape (height, width, 3)."""
+        self._stage.show(k)
+        self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class _LaterFrames:
+    """All frames but the first, as an image that Pillow seeks through: one is in memory."""
+
+    def __init__(self, film: _Film) -> None:
+        self._film = film
+        self._image: Any = None
+        self.n_frames = film.n_frames - 1
+
+    def seek(self, k: int) -> None:
+        """Draw a frame."""
+        from PIL import Image
+
+        self._image = Image.fromarray(self._film.pixels(k + 1))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["_image"], name)
 
 
 class _Stage:
     """Figure with one panel a motion and the errors below; `show` moves it to a time."""
 
-    def __init__(self, figure: Figure, whole: Sequence[Motion], sampled: Sequence[Motion]) -> None:
-        self._sampled = sampled
+    def __init__(
+        self, figure: Figure, whole: Sequence[Motion], sampled: Sequence[Motion], lapse: int
+    ) -> None:
+        self._pace = "real time" if lapse == 1 else f"{lapse} x real time"
         self._time = sampled[0].time
         self._views = _View.of(whole)
         grid = figure.add_gridspec(
@@ -88,14 +126,16 @@ class _Stage:
         self._clock = figure.text(0.985, 0.962, "", ha="right", va="center", fontsize=12,
                                   family="monospace")  # fmt: skip
         figure.text(0.015, 0.962, _title(whole[0]), va="center", fontsize=14, weight="bold")
-        figure.text(0.015, 0.926, _subtitle(whole), va="center", fontsize=10.5, color="0.35")
+        figure.text(0.015, 0.926, _subtitle(whole[0]), va="center", fontsize=10.5, color="0.35")
         colors = _TensionColors(whole[0].plant)
+        ends = [float(motion.time[-1]) for motion in whole]
         self._panels = [
-            _Panel(figure.add_subplot(grid[0, k]), motion, self._views, colors, ERROR_COLORS[k])
-            for k, motion in enumerate(sampled)
+            _Panel(figure.add_subplot(grid[0, k]), motion, end, self._views, colors, color)
+            for k, (motion, end, color) in enumerate(zip(sampled, ends, ERROR_COLORS, strict=False))
         ]
         for panel, motion in zip(self._panels, whole, strict=True):
-            panel.axes.set_title(_words(motion), fontsize=12.5, color=panel.color, weight="bold")
+            words = _words(motion) + (" (diverged)" if motion.diverged else "")
+            panel.axes.set_title(words, fontsize=12.5, color=panel.color, weight="bold")
         self._errors = _Errors(figure.add_subplot(grid[1, :]), whole)
         colors.draw_bar(figure)
 
@@ -104,7 +144,7 @@ class _Stage:
         for panel in self._panels:
             panel.show(k)
         self._errors.show(float(self._time[k]))
-        self._clock.set_text(f"{self._time[k]:.2f} s, real time")
+        self._clock.set_text(f"{self._time[k]:.2f} s, {self._pace}")
 
 
 class _View:
@@ -128,7 +168,7 @@ class _View:
         back = np.array([-np.sin(side), np.cos(side), 0.0])
         up = np.array([0.0, 0.0, np.cos(VIEW_ELEVATION)]) + np.sin(VIEW_ELEVATION) * back
         view = cls(right, up, np.cross(right, up))
-        flat = view.project(np.vstack([motion.position for motion in motions]))
+        flat = view.project(np.vstack([motion.position for motion in _followed(motions)]))
         margin = MARGIN_SIZES * float(np.ptp(motions[0].plant.anchor_points, axis=0).max())
         low = flat.min(axis=0) - [margin, 1.7 * margin]  # a line of text stands below
         high = flat.max(axis=0) + margin
@@ -142,19 +182,35 @@ class _View:
 
 
 class _TensionColors:
-    """Colours of tensions between the limits of a robot."""
+    """Colours of tensions within the limits of a robot, n cables, each with limits of its own."""
 
     def __init__(self, robot: Robot) -> None:
         from matplotlib import colormaps
         from matplotlib.colors import LogNorm, Normalize
 
-        low, high = float(robot.tension_min.max()), float(robot.tension_max.min())
-        self.norm = LogNorm(low, high) if low > 0.0 else Normalize(low, high)
+        self._low, self._high = robot.tension_min, robot.tension_max
+        self._positive = self._low[self._low > 0.0]
+        highest = float(self._high.max())
+        if self._positive.size:
+            self.norm: Normalize = LogNorm(float(self._positive.min()), highest)
+        else:
+            self.norm = Normalize(0.0, highest)
         self.map = colormaps[TENSION_MAP].with_extremes(under=SLACK_COLOR, over="black")
 
     def of(self, tension: Array) -> Any:
-        """Return colours, shape (n, 4)."""
-        return self.map(self.norm(np.maximum(tension, 1e-6)))
+        """Return colours of the tensions of the cables, shape (..., n), as (..., n, 4)."""
+        scaled = self.norm(np.clip(tension, self.norm.vmin, self.norm.vmax))
+        place = np.where(tension < self._low, -np.inf, scaled)
+        return self.map(np.where(tension > self._high, np.inf, place))
+
+    def slack_words(self) -> str:
+        """Say below which tension a cable is grey, or nothing if all may be slack."""
+        if not self._positive.size:
+            return ""
+        least, most = float(self._low.min()), float(self._low.max())
+        if least == most:
+            return f"; grey: slack, below {most:g} N"
+        return "; grey: slack, below its own limit"
 
     def draw_bar(self, figure: Figure) -> None:
         """Draw the scale under the panels."""
@@ -162,25 +218,28 @@ class _TensionColors:
 
         axes = figure.add_axes((0.42, 0.29, 0.45, 0.016))
         bar = figure.colorbar(
-            ScalarMappable(self.norm, self.map), cax=axes, orientation="horizontal", extend="both"
-        )
+            ScalarMappable(self.norm, self.map), cax=axes, orientation="horizontal",
+            extend="both" if self._positive.size else "max",
+        )  # fmt: skip
         lowest, highest = self.norm.vmin or 0.0, self.norm.vmax or 0.0
         marks = _round_numbers(lowest, highest)
         bar.set_ticks(marks, labels=[f"{x:g}" for x in marks])
         bar.ax.tick_params(labelsize=9, length=2, pad=1)
         bar.ax.minorticks_off()
-        words = f"cable tension [N]; grey: slack, below {lowest:g} N"
+        words = f"cable tension [N]{self.slack_words()}"
         figure.text(0.40, 0.297, words, ha="right", va="center", fontsize=10)
 
 
 class _Panel:
-    """One robot: frame, cables, platform, path and trail."""
+    """One robot: frame, cables, platform, path and trail; it stays as it was when its run ended."""
 
-    def __init__(self, axes: Any, motion: Motion, view: _View, colors: _TensionColors, color: str):
+    def __init__(
+        self, axes: Any, motion: Motion, end: float, view: _View, colors: _TensionColors, color: str
+    ) -> None:
         from matplotlib.collections import LineCollection, PolyCollection
 
         self.axes, self.color = axes, color
-        self._motion, self._view, self._colors = motion, view, colors
+        self._motion, self._end, self._view, self._colors = motion, end, view, colors
         self._box = _platform_box(motion.plant)
         axes.set(xlim=view.limits[:, 0], ylim=view.limits[:, 1], aspect="equal")
         axes.set(xticks=[], yticks=[], facecolor=GROUND_COLOR)
@@ -219,7 +278,8 @@ class _Panel:
         self._trail.set_color(fading)
         target = view.project(motion.reference[k])
         self._target.set_data([target[0]], [target[1]])
-        self._text.set_text(f"{1e3 * motion.error[k]:{FIGURE_SPACE}>3.0f} mm off")
+        ended = f", ended at {self._end:.1f} s" if motion.time[k] > self._end else ""
+        self._text.set_text(f"{1e3 * motion.error[k]:{FIGURE_SPACE}>3.0f} mm off{ended}")
 
 
 class _Errors:
@@ -229,7 +289,7 @@ class _Errors:
         self._axes, self._motions = axes, motions
         moving = float(motions[0].time[_arrival(motions[0])])
         axes.axvspan(0.0, moving, color="0.94", zorder=0, lw=0)
-        top = 1.25e3 * max(float(motion.error.max()) for motion in motions)
+        top = 1.25e3 * max(float(motion.error.max()) for motion in _followed(motions))
         axes.set(xlim=(0.0, motions[0].time[-1]), ylim=(0.0, top))
         for start, words in ((0.0, "reference moves"), (moving, "reference rests")):
             axes.annotate(
@@ -262,10 +322,15 @@ def _title(motion: Motion) -> str:
     )
 
 
-def _subtitle(motions: Sequence[Motion]) -> str:
+def _subtitle(motion: Motion) -> str:
     """Say what the motions have in common."""
-    estimators = dict.fromkeys(f"{m.estimator.replace('_', ' ')} on {m.sensors}" for m in motions)
-    return f"same plant, wind and noise; {', '.join(estimators)}; circle: where it should be"
+    estimator = f"{motion.estimator.replace('_', ' ')} on {motion.sensors}"
+    return f"same plant, wind and noise; {estimator}; circle: where it should be"
+
+
+def _followed(motions: Sequence[Motion]) -> Sequence[Motion]:
+    """Return the motions that scales and duration fit: those that did not diverge, or all."""
+    return [motion for motion in motions if not motion.diverged] or motions
 
 
 def _words(motion: Motion) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.physics.cable.shapes import hanging_cables
 from carosac_toolkit.robot.robot import Robot
@@ -21,7 +21,10 @@ from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.studies.run.run_case import plant_of
 
 CABLE_SAMPLES = 24  # points of a drawn cable
+SAMPLES_MIN = 2
+SHARED = (*(name for name in CASE_COLUMNS if name != "controller"), "seed")
 NEEDED = ("position_m", "quaternion", "tension_N", "unstrained_length_m")
+Run = tuple[Row, Mapping[str, Any]]  # with its time series
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +35,7 @@ class Motion:
         controller: Name of its controller.
         estimator: Name of its estimator.
         sensors: Sensors of its driver.
+        diverged: Whether its errors are too large to be a score.
         plant: Robot that moved: the one drawn from the condition, not the nominal one.
         time: From the start [s], shape (S,).
         reference: Platform origin asked for in W [m], shape (S, 3).
@@ -44,6 +48,7 @@ class Motion:
     controller: str
     estimator: str
     sensors: str
+    diverged: bool
     plant: Robot
     time: Array
     reference: Array
@@ -68,43 +73,60 @@ class Motion:
 def motions_of(folder: Path, rows: Sequence[Row], controllers: Sequence[str]) -> list[Motion]:
     """Return the motions of some controllers in the same case, whose time series was kept.
 
+    The first of the cases that differ in the controller alone and were kept whole for all.
+
     Args:
         folder: Folder of the study.
         rows: Its rows.
         controllers: Names of controllers of the study.
 
     Raises:
-        CarosacError: None of the runs of a controller was kept whole.
+        CarosacError: None of the runs of a controller was kept whole, or no such run is of the
+            same case for all; or it has less than two samples.
     """
-    motions = []
-    for name in controllers:
-        mine = [row for row in rows if row["controller"] == name and row.get("series") is not None]
-        motion = next((made for row in mine if (made := _motion(folder, row)) is not None), None)
-        if motion is None:
-            raise CarosacError(
-                f"animation: no run of {name} has poses, tensions and lengths: it failed, its "
-                "driver does not know them, or the study is of an earlier version"
-            )
-        motions.append(motion)
-    return motions
+    whole = [_whole_runs(rows, name) for name in controllers]
+    shared = next((key for key in whole[0] if all(key in runs for runs in whole)), None)
+    if shared is None:
+        raise CarosacError(
+            f"{', '.join(controllers)} have no whole runs of the same {', '.join(SHARED)}"
+        )
+    return [_motion(folder, *runs[shared]) for runs in whole]
 
 
-def _motion(folder: Path, row: Row) -> Motion | None:
-    """Return the motion of a case, or None if too little of it was kept."""
-    series: dict[str, Any] = json.loads(str(row["series"]))
-    if any(series.get(name) is None for name in NEEDED):
-        return None
+def _whole_runs(rows: Sequence[Row], controller: str) -> dict[tuple[str, ...], Run]:
+    """Return the runs of a controller with all that a motion needs, by what must be the same."""
+    runs: dict[tuple[str, ...], Run] = {}
+    for row in rows:
+        if row["controller"] != controller or row.get("series") is None:
+            continue
+        series: dict[str, Any] = json.loads(str(row["series"]))
+        if all(series.get(name) is not None for name in NEEDED):
+            runs.setdefault(tuple(str(row[name]) for name in SHARED), (row, series))
+    if not runs:
+        raise CarosacError(
+            f"no run of {controller} has poses, tensions and lengths: it failed, its "
+            "driver does not know them, or the study is of an earlier version"
+        )
+    return runs
+
+
+def _motion(folder: Path, row: Row, series: Mapping[str, Any]) -> Motion:
+    """Return the motion of a case from its time series."""
+    time = np.array(series["time_s"])
+    if len(time) < SAMPLES_MIN:
+        controller, allowed = row["controller"], f"at least {SAMPLES_MIN}"
+        raise InvalidField(f"samples of {controller}", str(len(time)), allowed)
     plant = plant_of(_case(row), robot_of_row(folder, row))
     quaternion = np.array(series["quaternion"])
     rotation = to_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
-    position, time = np.array(series["position_m"]), np.array(series["time_s"])
+    position = np.array(series["position_m"])
     length = np.array(series["unstrained_length_m"])
     hanging = hanging_cables(plant, position, rotation, length, samples=CABLE_SAMPLES)
     return Motion(
         controller=str(row["controller"]), estimator=str(row["estimator"]),
-        sensors=str(row["sensors"]), plant=plant, time=time - time[0],
-        reference=np.array(series["reference_m"]), position=position, rotation=rotation,
-        tension=np.array(series["tension_N"]), cables=hanging.points,
+        sensors=str(row["sensors"]), diverged=row["status"] == "diverged", plant=plant,
+        time=time - time[0], reference=np.array(series["reference_m"]), position=position,
+        rotation=rotation, tension=np.array(series["tension_N"]), cables=hanging.points,
     )  # fmt: skip
 
 

@@ -252,6 +252,27 @@ def test_the_default_study_is_one_table_with_tensions_and_sway_and_an_animation(
     assert Path("o/animation.webp").stat().st_size < 3e6
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ([*ALONE, "--controllers", "kinematic_solver", f"{PACKAGE}:Raising", "--animation",
+          "kinematic_solver", f"{PACKAGE}:Raising"], f"no run of {PACKAGE}:Raising has poses"),
+        (["--driver", "replay", "--controllers", "straight_line", "--seeds", "1", "--workers", "0",
+          "--animation", "straight_line"], "no run of straight_line has poses"),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("blank_pictures")
+def test_an_animation_that_cannot_be_drawn_costs_nothing_else(words, reason, capsys):
+    status = main(["compare", *words, "--output", "o", "--json", "x.json"])
+    captured = capsys.readouterr()
+    data = json.loads(Path("x.json").read_text())
+    assert status == (1 if any(line["failures"] for line in data["summary"]) else 0)
+    assert f"animation left out: {reason}" in " ".join(captured.out.split())
+    assert captured.err.count("carosac: ") == 0
+    assert {"o/report.html", "o/tables.md", "o/tables.tex", "o/statistics.json"} <= set(names("o"))
+    assert not Path("o/animation.webp").exists() and "report: o/report.html" in captured.out
+
+
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_controller_that_is_left_out_is_told(capsys):
     words = ["--robot", "desktop", "--seeds", "1", "--workers", "0", "--json", "x.json"]
