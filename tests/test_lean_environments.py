@@ -87,6 +87,15 @@ answer = [x for x in ("casadi", "gtsam", "pinocchio", "torch", "viser", "pytest"
 """
     assert answers(environment(), program) == []
     assert answers(environment("control"), program) == ["casadi", "pinocchio"]
+    program = """
+from carosac_toolkit.base.extras import missing_extras
+answer = missing_extras(("calibration", "control", "learn", "parallel", "ros", "view"))
+"""
+    every = ["calibration", "control", "learn", "parallel", "ros", "view"]
+    assert answers(environment(), program) == every
+    assert answers(environment("control"), program) == [
+        extra for extra in every if extra not in ("control", "parallel")
+    ]
 
 
 def test_the_extra_all_brings_what_all_others_bring():

@@ -5,19 +5,19 @@ The metadata of the distribution, from ``pyproject.toml``, say which packages an
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import Distribution, PackageNotFoundError
 from importlib.util import find_spec
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from carosac_toolkit.base.errors import CarosacError
 
 DISTRIBUTION = "carosac-toolkit"
-_IMPORT_NAMES = {"pin": "pinocchio"}  # of packages imported under another name than their own
-_NAME = re.compile(r"\s*([A-Za-z0-9._-]+)")
-_EXTRA = re.compile(r"\bextra\s*==\s*['\"]([^'\"]+)['\"]")
+_PACKAGES_BY_MODULE = {"pinocchio": "pin"}  # modules of our extras with another name
 
 
 class MissingExtra(CarosacError, ImportError):
@@ -76,7 +76,7 @@ def require_extras(user: str, extras: Sequence[str], distribution: str = DISTRIB
     """
     missing = missing_extras(extras, distribution)
     if missing:
-        brought = {x for extra in missing for x in _modules_by_extra(distribution)[extra]}
+        brought = {x for extra in missing for x in _packages(extra, distribution)}
         lacking = {x for extra in missing for x in _lacking(extra, distribution)}
         told = [] if lacking == brought else sorted(lacking)  # of an extra that is there in part
         raise MissingExtra(user, told, missing, distribution)
@@ -110,9 +110,8 @@ def _missing(user: str, modules: Sequence[str]) -> MissingExtra:
 
 
 def _lacking(extra: str, distribution: str) -> list[str]:
-    """Return the modules of an extra that cannot be imported."""
-    modules = _modules_by_extra(distribution).get(extra, ())
-    return [name for name in modules if not _importable(name)]
+    """Return the packages of an extra that are not installed."""
+    return [name for name in _packages(extra, distribution) if _metadata(name) is None]
 
 
 def _importable(module: str) -> bool:
@@ -121,27 +120,47 @@ def _importable(module: str) -> bool:
 
 
 def _extras_of(module: str) -> list[str]:
-    """Return our extras that bring a module, that which brings the fewest modules first."""
-    brought = _modules_by_extra(DISTRIBUTION)
+    """Return our extras that bring a module, that which brings the fewest packages first."""
+    package = _PACKAGES_BY_MODULE.get(module, canonicalize_name(module))
+    ours = _metadata(DISTRIBUTION)  # None if imported from its sources: it has no extras then
+    extras = ours.metadata.get_all("Provides-Extra") or [] if ours is not None else []
+    brought = {extra: _packages(extra, DISTRIBUTION) for extra in extras}
     return sorted(
-        (extra for extra, modules in brought.items() if module in modules),
+        (extra for extra, packages in brought.items() if package in packages),
         key=lambda extra: (len(brought[extra]), extra),
     )
 
 
+def _packages(
+    extra: str, distribution: str, seen: frozenset[tuple[str, str]] = frozenset()
+) -> tuple[str, ...]:
+    """Return the packages that an extra brings on this machine, also through further extras."""
+    seen |= {(extra, distribution)}
+    packages: set[str] = set()
+    for requirement in _requirements(distribution):
+        marker = requirement.marker
+        if marker is None or marker.evaluate({"extra": ""}):
+            continue  # belongs to no extra
+        if not marker.evaluate({"extra": extra}):
+            continue
+        name = canonicalize_name(requirement.name)
+        packages.add(name)
+        for further in requirement.extras:
+            if (further, name) not in seen:
+                packages.update(_packages(further, name, seen))
+    return tuple(sorted(packages))
+
+
 @lru_cache(maxsize=8)
-def _modules_by_extra(distribution: str) -> dict[str, tuple[str, ...]]:
-    """Return the top-level modules that each extra of a distribution brings, from its metadata."""
+def _requirements(distribution: str) -> tuple[Requirement, ...]:
+    """Return all requirements of a distribution, none if it is not installed."""
+    found = _metadata(distribution)
+    return tuple(map(Requirement, (found.requires or []) if found is not None else []))
+
+
+def _metadata(name: str) -> Distribution | None:
+    """Return an installed distribution, or None."""
     try:
-        requirements = requires(distribution) or []
-    except PackageNotFoundError:  # imported from its sources: it has no extras then
-        requirements = []
-    modules: dict[str, set[str]] = {}
-    for line in requirements:
-        wanted, _, marker = line.partition(";")
-        name, extra = _NAME.match(wanted), _EXTRA.search(marker)
-        if name is not None and extra is not None:
-            package = re.sub(r"[-_.]+", "-", name[1]).lower()
-            module = _IMPORT_NAMES.get(package, package.replace("-", "_"))
-            modules.setdefault(extra[1], set()).add(module)
-    return {extra: tuple(sorted(names)) for extra, names in modules.items()}
+        return Distribution.from_name(name)
+    except PackageNotFoundError:
+        return None

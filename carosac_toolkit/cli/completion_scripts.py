@@ -20,7 +20,7 @@ _SHELL_CHARACTERS = str.maketrans({"[": "(", "]": ")", **dict.fromkeys("`'\"\\$!
 _BASH = r"""# completion of carosac for bash; made by: carosac completion bash
 _carosac() {
   local current="${COMP_WORDS[COMP_CWORD]}" command="${COMP_WORDS[1]}" first=2
-  local option="" taken=0 words=0 names="" files="" flags="" k word IFS=$'\n'
+  local option="" taken=0 words=0 names="" files="" flags="" kind="-f" k word IFS=$'\n'
   COMPREPLY=()
   [[ $current == "=" ]] && current=""
   if (( COMP_CWORD == 1 )); then
@@ -52,15 +52,11 @@ _carosac() {
   [[ -z $files ]] && return
   compopt -o filenames 2>/dev/null
   if [[ $files == "/" ]]; then
-    COMPREPLY+=($(compgen -d -- "$current"))
-  elif [[ $files == "*" ]]; then
-    COMPREPLY+=($(compgen -f -- "$current"))
-  else
-    COMPREPLY+=($(compgen -d -- "$current"))
-    for word in $(compgen -f -- "$current"); do
-      [[ -f $word && " $files " == *" ${word##*.} "* ]] && COMPREPLY+=("$word")
-    done
+    kind="-d"
   fi
+  while IFS= read -r word; do
+    [[ $files == [/*] || -d $word || " $files " == *" ${word##*.} "* ]] && COMPREPLY+=("$word")
+  done < <(compgen "$kind" -- "$current")
 }
 complete -F _carosac carosac"""
 

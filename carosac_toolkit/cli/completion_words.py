@@ -86,6 +86,7 @@ def _values_by_field() -> dict[str, Values]:
         "recording": recordings,
         "what": Values((*list_robots(), *list_recordings()), (ANY_FILE,)),
         "controller": controllers, "controllers": controllers,
+        "baseline": controllers, "animation": controllers,
         "estimator": estimators, "estimators": estimators,
         "models": Values(tuple(plugins.names("estimators"))),
         "driver": drivers, "plant": drivers,

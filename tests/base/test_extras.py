@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+import sys
 
 import pytest
 
@@ -8,7 +9,7 @@ from carosac_toolkit.base import extras
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.extras import MissingExtra, naming_extras, require, require_extras
 
-METADATA = [
+REQUIREMENTS = [
     "numpy>=2.0",
     "Their_Solver>=1; extra == 'fast'",
     "pin>=4 ; extra == \"fast\"",
@@ -16,16 +17,30 @@ METADATA = [
     "numpy; extra == 'all'",
     "numpy; extra == 'usual'",
 ]  # fmt: skip
+EXTRAS = ["all", "fast", "usual"]
+
+
+def write_distribution(folder, name, requirements=(), extras=()):
+    """Write the metadata of an installed distribution without any module."""
+    info = folder / f"{name}-1.0.dist-info"
+    info.mkdir(parents=True)
+    lines = [f"Name: {name}", "Version: 1.0", "Metadata-Version: 2.3"]
+    lines += [f"Requires-Dist: {line}" for line in requirements]
+    lines += [f"Provides-Extra: {extra}" for extra in extras]
+    (info / "METADATA").write_text("\n".join(lines) + "\n")
 
 
 @pytest.fixture
-def metadata(monkeypatch):
-    """A distribution with extras; of its packages only numpy is installed."""
-    monkeypatch.setattr(extras, "requires", lambda name: METADATA)
+def metadata(monkeypatch, tmp_path):
+    """The toolkit and a distribution x with extras; of their packages only numpy is installed."""
+    for name in ("carosac_toolkit", "x"):
+        write_distribution(tmp_path, name, REQUIREMENTS, EXTRAS)
+    write_distribution(tmp_path, "numpy")
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
     monkeypatch.setattr(extras, "_importable", lambda module: module == "numpy")
-    extras._modules_by_extra.cache_clear()
-    yield
-    extras._modules_by_extra.cache_clear()
+    extras._requirements.cache_clear()
+    yield tmp_path
+    extras._requirements.cache_clear()
 
 
 def test_what_is_installed_is_not_refused(metadata):
@@ -45,7 +60,7 @@ def test_a_missing_module_is_named_with_the_smallest_extra_that_brings_it(metada
 def test_an_extra_that_is_there_in_part_says_which_packages_are_missing(metadata):
     with pytest.raises(MissingExtra, match=r"this needs the extra fast: pip install 'x\[fast\]'$"):
         require_extras("this", ["usual", "fast"], "x")
-    with pytest.raises(MissingExtra, match=r"extra all \(not installed: their_solver\)"):
+    with pytest.raises(MissingExtra, match=r"extra all \(not installed: their-solver\)"):
         require_extras("this", ["all"], "x")
     both = r"extras all and fast.*pip install 'x\[all,fast\]'$"
     with pytest.raises(MissingExtra, match=both) as caught:
@@ -72,14 +87,37 @@ def test_it_is_an_error_of_ours_and_of_imports_and_survives_workers(metadata):
     assert (type(again), str(again), again.extras) == (MissingExtra, str(error), ("fast",))
 
 
-def test_without_metadata_the_modules_are_named(monkeypatch):
-    def nothing(name):
-        raise extras.PackageNotFoundError(name)
+def test_a_package_counts_under_its_own_name_where_its_marker_holds(metadata):
+    """None of the installed packages can be imported under its name."""
+    for name in ("scikit_learn", "PyYAML", "zope.interface"):
+        write_distribution(metadata, name)
+    foreign = f"sys_platform != '{sys.platform}'"
+    write_distribution(
+        metadata, "plug_in",
+        [
+            "scikit-learn; extra == 'ml'", "pyyaml; extra == 'ml'", "zope-interface; extra=='ml'",
+            f"pywin32; {foreign} and extra == 'ml'", f"pywin32; extra == 'ml' and {foreign}",
+            f"absent; sys_platform == '{sys.platform}' and extra == 'more'",
+        ],
+        ["ml", "more"],
+    )  # fmt: skip
+    require_extras("this", ["ml"], "plug-in")
+    with pytest.raises(MissingExtra, match=r"extra more: pip install 'plug-in\[more\]'"):
+        require_extras("this", ["more"], "plug-in")
 
-    monkeypatch.setattr(extras, "requires", nothing)
-    monkeypatch.setattr(extras, "_importable", lambda module: False)
-    extras._modules_by_extra.cache_clear()
+
+def test_an_extra_may_name_extras_of_itself_and_of_others(metadata):
+    requirements = ["carosac-toolkit[fast]; extra == 'ours'", "y[ours,both]; extra == 'both'"]
+    write_distribution(metadata, "y", requirements, ["ours", "both"])
+    for name in ("ours", "both"):
+        with pytest.raises(MissingExtra, match=r"\(not installed: pin, their-solver\)"):
+            require_extras("this", [name], "y")
+
+
+def test_without_metadata_the_modules_are_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    extras._requirements.cache_clear()
     message = r"this needs more packages \(not installed: gtsam\): pip install 'carosac-toolkit'"
     with pytest.raises(MissingExtra, match=message):
         require("this", "gtsam")
-    extras._modules_by_extra.cache_clear()
+    extras._requirements.cache_clear()

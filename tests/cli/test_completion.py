@@ -29,6 +29,8 @@ EXPECTED = [  # words, and some of what completes the last one
     (["run", "--trajectory", "sp"], {"spiral"}),
     (["compare", "--controllers", "mpc", "kin"], {"kinematic_solver"}),
     (["compare", "--controllers", "mpc", "--estima"], {"--estimators"}),
+    (["compare", "--baseline", "kin"], {"kinematic_solver"}),
+    (["compare", "--animation", "mpc", "kin"], {"kinematic_solver"}),
     (["compare", "--sensors", "lengths+i"], {"lengths+imu", "lengths+imu+pose"}),
     (["workspace", "--model", "st"], {"straight"}),
     (["calibrate", "lengths", "--repo"], {"--report"}),
@@ -67,7 +69,9 @@ def complete_in_bash(script, words, folder):
         capture_output=True, text=True, cwd=folder,
     )  # fmt: skip
     assert done.stderr == ""
-    return set(done.stdout.split())
+    found = done.stdout.splitlines()
+    assert len(found) == len(set(found))
+    return set(found)
 
 
 @pytest.mark.parametrize(("words", "wanted"), EXPECTED)
@@ -93,6 +97,22 @@ def test_bash_completes_files_of_the_right_kind(scripts, tmp_path):
     }
 
 
+def test_bash_takes_names_of_files_as_they_are(scripts, tmp_path):
+    """A name that is a pattern of others stands once, and so do the others."""
+    for name in ("* folder", "m folder"):
+        (tmp_path / name).mkdir()
+    for name in ("*.yaml", "m.yaml"):
+        (tmp_path / name).touch()
+    folders = {"* folder", "m folder"}
+    for words, wanted in (
+        (["figures", ""], folders),
+        (["import", "recording", "x", "--definitions", ""], folders),
+        (["check", "x", "--picture", ""], folders | {"*.yaml", "m.yaml"}),
+        (["compare", "--perturbations", "m"], {"m folder", "m.yaml"}),
+    ):
+        assert wanted <= complete_in_bash(scripts / "bash", words, tmp_path)
+
+
 @pytest.mark.parametrize(("words", "wanted"), EXPECTED)
 def test_fish_completes(scripts, tmp_path, words, wanted):
     program = f"source '{scripts / 'fish'}'; complete -C 'carosac {' '.join(words)}'"
@@ -115,6 +135,8 @@ def test_zsh_completes(scripts, tmp_path):
         "carosac check --robot sc\t",
         "carosac compare --controllers mpc kin\t",
         "carosac run --traj\t",
+        "carosac compare --baseline kin\t",
+        "carosac compare --animation kin\t",
         "exit",
     ]
     master, slave = pty.openpty()
@@ -138,6 +160,7 @@ def test_zsh_completes(scripts, tmp_path):
     assert (tmp_path / "words").read_text().splitlines() == [
         "check", "calibrate lengths", "check --robot scampi",
         "compare --controllers mpc kinematic_solver", "run --trajectory",
+        "compare --baseline kinematic_solver", "compare --animation kinematic_solver",
     ], shown.decode()  # fmt: skip
 
 
