@@ -37,6 +37,7 @@ def metadata(monkeypatch, tmp_path):
         write_distribution(tmp_path, name, REQUIREMENTS, EXTRAS)
     write_distribution(tmp_path, "numpy")
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "gtsam", raising=False)  # where another test imported it
     monkeypatch.setattr(extras, "_importable", lambda module: module == "numpy")
     extras._requirements.cache_clear()
     yield tmp_path
@@ -116,6 +117,7 @@ def test_an_extra_may_name_extras_of_itself_and_of_others(metadata):
 
 def test_without_metadata_the_modules_are_named(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "gtsam", raising=False)  # where another test imported it
     extras._requirements.cache_clear()
     message = r"this needs more packages \(not installed: gtsam\): pip install 'carosac-toolkit'"
     with pytest.raises(MissingExtra, match=message):
