@@ -86,7 +86,7 @@ def compile_time() -> list[list[str]]:
         "import resource\n"
         "from importlib import import_module\n"
         "from carosac_toolkit.physics import warp_setup\n"
-        f"for name in {kernel_modules()!r}:\n"
+        f"for name in {kernel_modules(('learned', 'sim_warp'))!r}:\n"
         "    warp_setup.load(import_module(name))\n"
         "usage = resource.getrusage(resource.RUSAGE_SELF)\n"
         "print(usage.ru_utime + usage.ru_stime)\n"

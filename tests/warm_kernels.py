@@ -13,7 +13,7 @@ def main() -> None:
     from carosac_toolkit.physics.kernel_modules import compile_kernels
 
     start = time.perf_counter()
-    count = compile_kernels()
+    count = compile_kernels(("learned", "sim_warp"))
     print(f"{count} kernel modules ready after {time.perf_counter() - start:.1f} s")
 
 

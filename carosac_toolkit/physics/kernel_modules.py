@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 from carosac_toolkit.physics import warp_setup
 
-PACKAGES = ("carosac_toolkit", "sim_warp", "learned")
+TOOLKIT = "carosac_toolkit"
 
 
-def kernel_modules() -> list[str]:
-    """Return the names of all modules that define kernels, not those of Warp functions alone."""
+def kernel_modules(packages: Collection[str] = ()) -> list[str]:
+    """Return the names of all modules that define kernels, not those of Warp functions alone.
+
+    Args:
+        packages: Top-level packages to search besides the toolkit itself.
+    """
     names = []
-    for package in PACKAGES:
+    for package in sorted({TOOLKIT, *packages}):
         spec = find_spec(package)
         for folder in (spec.submodule_search_locations or []) if spec is not None else []:
             top = Path(folder).parent
@@ -24,13 +29,14 @@ def kernel_modules() -> list[str]:
     return names
 
 
-def compile_kernels(device: str = "cpu") -> int:
+def compile_kernels(packages: Collection[str] = (), device: str = "cpu") -> int:
     """Compile all kernels that are not in Warp's cache yet; return how many modules there are.
 
     Args:
+        packages: Top-level packages with kernels besides the toolkit itself.
         device: Warp device name.
     """
-    names = kernel_modules()
+    names = kernel_modules(packages)
     for name in names:
         warp_setup.load(import_module(name), device)
     return len(names)

@@ -7,7 +7,7 @@ from carosac_toolkit.physics import kernel_modules
 PROGRAM = """
 import importlib
 from carosac_toolkit.physics import kernel_modules, warp_setup
-kernel_modules.kernel_modules = lambda: [
+kernel_modules.kernel_modules = lambda packages: [
     "carosac_toolkit.physics.motion.winch_kernels", "carosac_toolkit.physics.rest.distance_kernels"
 ]
 warp_setup.NOTICE_DELAY_S = 0.05
@@ -32,7 +32,12 @@ def test_two_modules_are_compiled_once_and_told_in_one_line(tmp_path):
 
 
 def test_every_kernel_module_is_known():
-    names = kernel_modules.kernel_modules()
+    names = kernel_modules.kernel_modules(("sim_warp", "learned"))
     for name in ("sim_warp.particle_kernels", "learned.length_map_kernels"):
         assert name in names
     assert names.count("carosac_toolkit.physics.rest.hold_kernels") == 1
+
+
+def test_without_packages_only_the_toolkit_is_searched():
+    tops = {name.partition(".")[0] for name in kernel_modules.kernel_modules()}
+    assert tops == {"carosac_toolkit"}

@@ -40,7 +40,7 @@ from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import default_workers, remote_client
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
-from carosac_toolkit.studies.run.folder import check_statuses, free_folder
+from carosac_toolkit.studies.run.folder import check_statuses, free_folder, has_cases_left
 from carosac_toolkit.studies.run.robot_copies import copy_paths, copy_robots
 from carosac_toolkit.studies.run.run_case import (
     CASE_DRIVER_SETTINGS,
@@ -195,9 +195,14 @@ class Study:
                 pass
 
     def prepare(self) -> None:
-        """Compile all kernels before several processes of this machine need them."""
-        if self.scheduler is None and self.workers != 0:
-            compile_kernels()
+        """Compile the kernels of the toolkit, driver and estimators before several processes do.
+
+        Without cases left to run on this machine nothing is compiled.
+        """
+        if self.scheduler is not None or self.workers == 0:
+            return
+        if has_cases_left(self.folder(), self.cases(), self.retry):
+            compile_kernels(self._kernel_packages())
 
     @cached_property
     def feasibility(self) -> tuple[PathFeasibility, ...]:
@@ -232,6 +237,15 @@ class Study:
             begun=lambda: self._copy_inputs(folder),
         )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder, feasibility=judged)
+
+    def _kernel_packages(self) -> set[str]:
+        """Return the top-level packages of the driver, of one behind it, and of the estimators."""
+        driver = find_plugin("drivers", self.driver)
+        usual = getattr(getattr(driver, "Settings", None), "driver", None)  # of a guard
+        behind = own_settings(self.driver, self.driver_settings).get("driver", usual)
+        plugins = [driver, *([find_plugin("drivers", behind)] if behind is not None else [])]
+        plugins += [find_plugin("estimators", name) for name in self.estimators if name != "truth"]
+        return {plugin.__module__.partition(".")[0] for plugin in plugins}
 
     def _copy_inputs(self, folder: Path) -> None:
         """Copy the files that the study reads into its folder."""

@@ -120,6 +120,19 @@ def read_cases(folder: str | Path) -> list[Case]:
         ]
 
 
+def has_cases_left(folder: str | Path, cases: Sequence[Case], retry: Collection[str] = ()) -> bool:
+    """Return whether a run into a folder would run any case.
+
+    Args:
+        folder: Folder of the rows; it need not exist.
+        cases: The cases.
+        retry: Statuses of finished cases to run again.
+    """
+    rows = read_parts(Path(folder))
+    finished = {name for name, row in rows.items() if row["status"] not in retry}
+    return any(case.identity not in finished for case in cases)
+
+
 def read_rows(folder: str | Path) -> list[Row]:
     """Return the rows of a study, one per finished case, in the order of the cases.
 

@@ -9,6 +9,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import read_rows
 from carosac_toolkit.studies.compare import defaults
+from carosac_toolkit.studies.compare import study as study_module
 from carosac_toolkit.studies.compare.defaults import default_controllers
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import failures
@@ -283,6 +284,48 @@ def test_the_table_is_the_same_for_any_number_of_workers_and_a_second_call_goes_
     assert two.run(progress=False).data() == shared.data()
     assert part_files(tmp_path / "two") == files
     assert [file.stat().st_mtime_ns for file in files] == stamps
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Packages of each compilation that a study asks for; none happens."""
+    calls = []
+    monkeypatch.setattr(study_module, "compile_kernels", lambda packages: calls.append(packages))
+    return calls
+
+
+def test_kernels_are_compiled_only_if_cases_are_left(tmp_path, compiled):
+    alone = ct.Study(**FAST | {"driver": PLAIN}, seeds=1, workers=0, output=tmp_path / "study")
+    results = alone.run(progress=False)
+    assert [row["status"] for row in results.rows] == ["failed"] * 2
+    finished = replace(alone, workers=2)
+    for unchanged in (alone, finished, replace(finished, retry=["timed_out"])):
+        unchanged.prepare()
+        assert compiled == []
+    more, other = replace(finished, seeds=2), replace(finished, output=tmp_path / "other")
+    for count, extended in enumerate((more, other, replace(finished, retry=["failed"])), 1):
+        extended.prepare()
+        assert len(compiled) == count
+
+
+@pytest.mark.parametrize(
+    ("changes", "packages"),
+    [
+        ({"driver": "quasi_static"}, {"baselines", "carosac_toolkit"}),
+        ({"driver": "simulator", "controllers": ["mpc"]}, {"baselines", "sim_warp"}),
+        ({"driver": "quasi_static", "estimators": ["simulator"]}, {"carosac_toolkit", "sim_warp"}),
+        ({"driver": "quasi_static", "estimators": ["truth"]}, {"carosac_toolkit"}),
+        ({"driver": PLAIN}, {"baselines", "tests"}),
+        ({"driver": "guarded"}, {"baselines", "carosac_toolkit", "sim_warp"}),
+        (
+            {"driver": "guarded", "driver_settings": {"driver": "quasi_static"}},
+            {"baselines", "carosac_toolkit"},
+        ),
+    ],
+)
+def test_kernels_are_those_of_the_driver_and_the_estimators(tmp_path, compiled, changes, packages):
+    ct.Study(**FAST | changes, seeds=1, output=tmp_path / "study").prepare()
+    assert compiled == [packages]
 
 
 def test_without_a_folder_another_study_gets_a_folder_of_its_own(tmp_path, monkeypatch):
