@@ -189,7 +189,10 @@ def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
     train(job(), tmp_path / "whole")
     for steps in (160, 320):
         ended = stopped_at(steps, number, tmp_path / "stopped")
-        assert ended.returncode == -number, ended.stderr
+        if number == signal.SIGINT:  # handlers at exit, of torch, may turn it into status 1
+            assert ended.stderr.endswith("KeyboardInterrupt\n") and ended.returncode in (-number, 1)
+        else:
+            assert ended.returncode == -number, ended.stderr
         assert "stopping after this step" in ended.stderr
         assert checkpoint(tmp_path / "stopped")["steps"] == steps
         assert read_curve(tmp_path / "stopped" / CURVE_FILE)[-1]["steps"] == steps
