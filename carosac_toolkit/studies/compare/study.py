@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit import trajectories
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.loop.protocols import replays
@@ -339,6 +339,20 @@ def _check(study: Study) -> None:
                 continue
             plugin = find_plugin(kind, name)
             check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+            if hasattr(plugin, "check_robot") and not wanted.get(name):
+                _check_any_robot(study, plugin)
+
+
+def _check_any_robot(study: Study, controller: Any) -> None:
+    """Refuse a controller that refuses all robots of a study."""
+    errors = []
+    for robot in study.robots:
+        try:
+            controller.check_robot(load_robot(robot))
+        except CarosacError as error:
+            errors.append(error)
+    if len(errors) == len(study.robots):
+        raise errors[0]
 
 
 def _check_trajectories(study: Study, *, replayed: bool) -> None:

@@ -199,6 +199,13 @@ def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp
             assert ct.Study(robots=[robot]).controllers == kept
 
 
+def test_a_named_controller_that_refuses_all_robots_is_refused_before_any_case():
+    line = {"controllers": ["td3"], "seeds": 1}
+    with pytest.raises(InvalidField, match="a robot with a bundled policy"):
+        ct.Study(robots=["cogiro"], **line).check()
+    ct.Study(robots=["cogiro", "carosac"], **line).check()
+
+
 def test_a_broken_plug_in_is_not_left_out_in_silence(monkeypatch):
     def load(kind, name):
         raise CarosacError(f"{name} is claimed by several installed distributions")
