@@ -14,22 +14,19 @@ from carosac_toolkit.pictures.drawing import (
     Path,
     draw_ecdf,
     draw_in_space,
-    draw_violin,
     enlarged_text,
     enlargement,
     finish_ecdf,
     limits_of,
     line_style,
     new_figure,
-    number_below,
     put_legend,
     put_marks,
-    rms,
     set_log,
     set_title,
     spans_decades,
 )
-from carosac_toolkit.pictures.estimates import draw_estimates
+from carosac_toolkit.pictures.estimates import draw_axis_violins, draw_estimates
 from carosac_toolkit.pictures.groups import (
     Group,
     estimator_groups,
@@ -83,18 +80,9 @@ def draw_violins(results: StudyResults) -> Figure:
     errors = {
         k: np.concatenate([one.error for one in some]) for k, some in examples.items() if some
     }
-    unit, factor = unit_of(errors.values())
-    for column, (name, axes) in enumerate(zip(AXIS_NAMES, panels, strict=True)):
-        numbers: dict[float, float | None] = {}
-        for group in groups:
-            if group.number in errors:
-                values = factor * errors[group.number][:, column]
-                draw_violin(axes, values, group.number, group.look)
-                numbers[group.number] = rms(values)
-        axes.set_title(name)
+    unit = draw_axis_violins(panels, groups, errors)
+    for axes in panels:
         axes.set_xlim(-0.6, len(groups) - 0.4)
-        number_below(axes, numbers, f"RMSE [{unit}]")
-        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
         axes.grid(axis="y", alpha=0.25)
     panels[0].set_ylabel(f"tracking error [{unit}]")
     shown = {one.trajectory for some in examples.values() for one in some}

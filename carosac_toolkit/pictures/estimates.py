@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.consistency import POSE_SIZE, band
 from carosac_toolkit.pictures.drawing import (
     draw_violin,
@@ -28,6 +29,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def draw_axis_violins(
+    panels: Sequence[Any], groups: Sequence[Group], errors: Mapping[int, Array]
+) -> str:
+    """Draw signed errors per axis and their norm, one panel each, with the RMSE below.
+
+    Args:
+        panels: Four of them.
+        groups: All groups, of which some may have no errors.
+        errors: Samples [m] by the number of the group, shape (K, 4).
+
+    Returns:
+        The unit in which they are drawn.
+    """
+    unit, factor = unit_of(errors.values())
+    for column, (name, axes) in enumerate(zip(AXIS_NAMES, panels, strict=True)):
+        numbers: dict[float, float | None] = {}
+        for group in groups:
+            if group.number in errors:
+                values = factor * errors[group.number][:, column]
+                draw_violin(axes, values, group.number, group.look)
+                numbers[group.number] = rms(values)
+        axes.set_title(name)
+        number_below(axes, numbers, f"RMSE [{unit}]")
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
+    return unit
+
+
 def draw_estimates(groups: Sequence[Group], robots: str) -> Figure:
     """Draw the signed estimation error over the samples of example cases, and all cases' NEES.
 
@@ -45,17 +73,7 @@ def draw_estimates(groups: Sequence[Group], robots: str) -> Figure:
         for k, some in examples.items()
         if some
     }
-    unit, factor = unit_of(errors.values())
-    for column, (name, axes) in enumerate(zip(AXIS_NAMES, panels[:4], strict=True)):
-        numbers: dict[float, float | None] = {}
-        for group in groups:
-            if group.number in errors:
-                values = factor * errors[group.number][:, column]
-                draw_violin(axes, values, group.number, group.look)
-                numbers[group.number] = rms(values)
-        axes.set_title(name)
-        number_below(axes, numbers, f"RMSE [{unit}]")
-        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
+    unit = draw_axis_violins(panels[:4], groups, errors)
     panels[0].set_ylabel(f"estimation error [{unit}]")
     if known:
         _draw_squares(panels[4], groups, squares)

@@ -34,32 +34,27 @@ def test_it_tells_counts_and_time_left(monkeypatch):
     ]
 
 
-def test_a_file_gets_a_line_ever_more_rarely(monkeypatch):
+def shown_at(monkeypatch, *, cases, seconds):
+    """Numbers of finished cases in the lines of a file, of 1000 that take some seconds each."""
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
     stream = io.StringIO()
     bar = Progress(1000, [], quiet=False, stream=stream)
-    for _ in range(1000):
-        now[0] += 1.0
+    for _ in range(cases):
+        now[0] += seconds
         bar.add(rows(1))
     bar.close()
-    shown = [
+    return [
         int(line.split("/")[0].removeprefix("study: ")) for line in stream.getvalue().splitlines()
     ]
-    assert shown == [1, 61, 181, 421, 901, 1000]
+
+
+def test_a_file_gets_a_line_ever_more_rarely(monkeypatch):
+    assert shown_at(monkeypatch, cases=1000, seconds=1.0) == [1, 61, 181, 421, 901, 1000]
 
 
 def test_a_file_is_never_silent_for_longer_than_ten_minutes(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    stream = io.StringIO()
-    bar = Progress(1000, [], quiet=False, stream=stream)
-    for _ in range(999):
-        now[0] += 60.0
-        bar.add(rows(1))
-    shown = [
-        int(line.split("/")[0].removeprefix("study: ")) for line in stream.getvalue().splitlines()
-    ]
+    shown = shown_at(monkeypatch, cases=999, seconds=60.0)
     assert max(np.diff(shown)) == 10
 
 
