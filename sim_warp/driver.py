@@ -181,7 +181,7 @@ class SimPlant:
 
     def read_lengths(self) -> Array:
         """Return readings of perfect encoders, by the drum parameters of the drives [m], (B, n)."""
-        return self._encoders.read(self._state.unstrained_length)
+        return self._encoders.read(self._state.wound_length)
 
 
 class SimDriver(SimulatedDriver):

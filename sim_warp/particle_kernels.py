@@ -44,6 +44,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     scheme_of,
     solve_system,
 )
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
@@ -145,6 +146,7 @@ class Chains:
     trial_tension: wp.array3d(dtype=wp.float64)  # scratch: at the trial positions [N]
     end_load: wp.array2d(dtype=wp.vec3d)  # scratch: weight less inertia of the last half segment
     end_unit: wp.array2d(dtype=wp.vec3d)  # scratch: direction of the last segment
+    bristles: wp.array2d(dtype=Bristles)  # scratch: at the end of the step
     drag: wp.float64  # air drag per mass of cable [1/s]
     segments: int  # N
 
@@ -396,9 +398,9 @@ def sweep_up(chains: Chains, b: int, s: int, i: int, scheme: Scheme,
 
 @wp.func
 def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: DynamicBody, trial: BodyMotion, system: System, scheme: Scheme, lane: Lane,
-                ) -> System:  # fmt: skip
-    """Add forces and stiffnesses of all chains to the system of the platform."""
+                body: DynamicBody, start: BodyMotion, trial: BodyMotion, system: System,
+                scheme: Scheme, lane: Lane) -> System:  # fmt: skip
+    """Add forces, stiffnesses and friction of all chains to the system of the platform."""
     total = System()
     if lane.index == 0:
         total = system
@@ -419,6 +421,12 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             inertial_rate,
         )  # fmt: skip
         total = attach(total, arm, load.force, load.stiffness)
+        if cable.exit_friction + cable.anchor_friction > ZERO:
+            rubbing = rub(
+                total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
+            )
+            total = rubbing.system
+            chains.bristles[s, i] = rubbing.bristles
     if lane.count > 1:
         total.force = vector_sum(total.force, lane.count)
         total.moment = vector_sum(total.moment, lane.count)
@@ -472,6 +480,7 @@ def accept_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
+        worlds.bristles[b, i] = chains.bristles[s, i]
         last = chains.segments - 1
         end_force = chains.end_load[s, i] - chains.predicted[b, i, last] * chains.end_unit[s, i]
         worlds.tension[b, i] = wp.length(end_force)
@@ -509,7 +518,9 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     size = wp.float64(0.0)
     while count < NEWTON_STEPS_MAX and not solved:
         system = inertial_system(body, start, trial, scheme, gusts.force)
-        system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme, lane)
+        system = load_chains(
+            plants, worlds, chains, b, s, row, body, start, trial, system, scheme, lane
+        )
         newton = solve_system(system)
         far = move_chains(
             plants, chains, b, s, row, body, trial, scheme, newton.move, newton.turn, lane

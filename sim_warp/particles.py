@@ -13,6 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion.dynamics import Advance, Placement, place_worlds
+from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from sim_warp import chain_start_kernels, particle_kernels, xpbd_kernels
 
 CHAIN_GAP_MAX = 1e-9  # of the shortest cable: a larger gap to an anchor point is no closed chain
@@ -73,6 +74,7 @@ class ParticleDynamics:
             ("coupling", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
             ("tension_gradient", scratch, wp.vec3d), ("trial_tension", scratch, wp.float64),
             ("end_load", (rows, n), wp.vec3d), ("end_unit", (rows, n), wp.vec3d),
+            ("bristles", (rows, n), Bristles),
         ):  # fmt: skip
             setattr(out, name, wp.zeros(shape, dtype=kind, device=self._device))
         out.drag = drag

@@ -23,6 +23,8 @@ class SimulatorState:
         twist: Linear [m/s], then angular velocity [rad/s] of the platform origin in W, (B, 6).
         acceleration: Linear [m/s^2], then angular acceleration [rad/s^2] of it, in W, (B, 6).
         unstrained_length: Wound, datum to anchor, at zero tension [m], shape (B, n).
+        wound_length: What the drums have turned for [m], shape (B, n): the same, but for the
+            hysteresis of the winches.
         tension: At the platform [N], shape (B, n).
         particles: Nodes of the cables from the first below the exit to the last above the
             platform in W [m], shape (B, n, segments - 1, 3); None for cables without nodes.
@@ -40,6 +42,7 @@ class SimulatorState:
     twist: Array
     acceleration: Array
     unstrained_length: Array
+    wound_length: Array
     tension: Array
     particles: Array | None
     iterations: NDArray[np.int32]
@@ -61,6 +64,7 @@ class StateViews:
     twist: wp.array
     acceleration: wp.array
     unstrained_length: wp.array
+    wound_length: wp.array
     tension: wp.array
     particles: wp.array | None
     iterations: wp.array

@@ -129,7 +129,8 @@ def hanging(n: int) -> Robot:
     per_cable = (
         "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
         "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
-        "acceleration_max", "winch_lag", "length_min", "length_max",
+        "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
+        "anchor_friction", "length_hysteresis",
     )  # fmt: skip
     return replace(
         robot, name=f"hanging_{n}", cable_names=tuple(f"c{i}" for i in range(n)),

@@ -23,7 +23,8 @@ PER_CABLE_FIELDS = (
     "exit_points", "exit_covariance", "pulley_radius", "swivel_axis", "run_length",
     "anchor_points", "linear_density", "axial_stiffness", "axial_damping", "cable_diameter",
     "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min",
-    "length_max", "drum_radius", "drum_buildup",
+    "length_max", "drum_radius", "drum_buildup", "exit_friction", "anchor_friction",
+    "length_hysteresis",
 )  # fmt: skip
 
 

@@ -30,7 +30,8 @@ def cable_records(robot: Robot) -> NDArray[Any]:
     records = np.zeros(robot.n, dtype=Cable.numpy_dtype())
     for name in (
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
-        "weight_per_length", "axial_stiffness", "axial_damping", "tension_min", "tension_max",
+        "weight_per_length", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction",
+        "tension_min", "tension_max",
     ):  # fmt: skip
         records[name] = getattr(robot, f"{name}s" if name.endswith("point") else name)
     return records

@@ -17,6 +17,8 @@ class Cable:
     weight_per_length: wp.float64  # [N/m]
     axial_stiffness: wp.float64  # EA [N]
     axial_damping: wp.float64  # tension per strain rate [N s]
+    exit_friction: wp.float64  # dry moment against turning of the cable at its exit [N m]
+    anchor_friction: wp.float64  # the same against the platform at its anchor [N m]
     tension_min: wp.float64  # [N]
     tension_max: wp.float64  # [N]
 

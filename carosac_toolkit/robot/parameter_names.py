@@ -17,7 +17,8 @@ _FIELD_UNITS = {
     "drum_radius": "m", "drum_buildup": "m", "axial_stiffness": "N", "linear_density": "kg/m",
     "axial_damping": "N*s", "run_length": "m", "length_delay": "s", "pose_tilt": "rad",
     "mass": "kg", "drag": "N*s/m", "angular_drag": "N*m*s/rad", "center_of_mass": "m",
-    "inertia": "kg*m^2",
+    "inertia": "kg*m^2", "exit_friction": "N*m", "anchor_friction": "N*m",
+    "length_hysteresis": "m",
 }  # fmt: skip
 _POINT_FIELDS = ("exit_points", "anchor_points")  # of each cable
 _CABLE_FIELDS = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
@@ -26,6 +27,9 @@ _SHARED_FIELDS = (
     "linear_density",
     "axial_damping",
     "run_length",
+    "exit_friction",
+    "anchor_friction",
+    "length_hysteresis",
 )  # of each, or of all
 SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag")
 _PARAMETER_PATTERN = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")

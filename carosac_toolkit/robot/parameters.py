@@ -10,6 +10,7 @@ name                       unit    meaning
 ``drum_radius[C]``         m       also ``drum_buildup[C]``
 ``axial_stiffness[C]``     N       also ``linear_density``, ``axial_damping``, ``run_length``;
                                    without ``[C]`` one number for all cables
+``exit_friction[C]``       N m     also ``anchor_friction``, and ``length_hysteresis`` [m]; likewise
 ``length_delay``           s       by how much readings lead poses
 ``pose_tilt.x``            rad     of the frame of measured poses against W, about x of W; also y
 ``mass``                   kg      also ``drag``, ``angular_drag``
@@ -77,6 +78,15 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
             each = usual if field in SCALAR_FIELDS else np.full(robot.n, usual)
             changed.setdefault(field, each if known is None else known)
     return replace(robot, **changed, calibrated=None, calibration_covariance=None)
+
+
+def turn_between(before: Robot, after: Robot) -> Array:
+    """Return the rotation from W of a robot to W of one whose measured poses are turned otherwise.
+
+    Returns:
+        shape (3, 3); identity where both see them alike.
+    """
+    return _pose_rotation(after) @ _pose_rotation(before).T
 
 
 def _get(robot: Robot, name: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,6 +61,11 @@ class Robot:
         linear_density: Mass per unstrained length [kg/m], shape (n,).
         axial_stiffness: EA [N], shape (n,).
         axial_damping: Tension per strain rate [N s], shape (n,).
+        exit_friction: Dry moment that resists turning of the cable at its exit: of the pulley about
+            its swivel axis, at an eyelet in all directions [N m], shape (n,) or (1,).
+        anchor_friction: Dry moment between cable and platform at the anchor [N m], the same shape.
+        length_hysteresis: By how much less cable a winch has paid out than it has turned for, after
+            it has paid out for long; more after winding in [m], the same shape.
         cable_diameter: [m], shape (n,).
         tension_min: Lowest allowed tension at the platform [N], shape (n,).
         tension_max: Highest allowed tension at the platform [N], shape (n,).
@@ -134,6 +139,9 @@ class Robot:
     description: str
     licence: str
     provenance: Mapping[str, str]
+    exit_friction: Array = field(default_factory=lambda: np.zeros(1))
+    anchor_friction: Array = field(default_factory=lambda: np.zeros(1))
+    length_hysteresis: Array = field(default_factory=lambda: np.zeros(1))
     drum_gear: Array | None = None
     drum_advantage: Array | None = None
     length_offset: Array | None = None
@@ -151,7 +159,10 @@ class Robot:
         for name in _SCALAR_FIELDS:
             object.__setattr__(self, name, _scalar(name, getattr(self, name)))
         set_frozen(self, {name: (n, 3) for name in ("exit_points", "anchor_points", "swivel_axis")})
-        set_frozen(self, {name: (n,) for name in _CABLE_FIELDS})
+        for name in DRY_FIELDS:
+            if np.shape(getattr(self, name)) == (1,):
+                object.__setattr__(self, name, np.repeat(getattr(self, name), n))
+        set_frozen(self, {name: (n,) for name in _CABLE_FIELDS + DRY_FIELDS})
         set_frozen(self, {name: (3,) for name in _VECTOR_FIELDS})
         set_frozen(self, {"inertia": (3, 3), "home_rotation": (3, 3)})
         for name, shape in _OPTIONAL_SHAPES.items():
@@ -200,8 +211,9 @@ class Robot:
         """
 
         def build(rest: Any, arrays: dict[str, NDArray[Any]]) -> Robot:
-            record = {"hardware": None} | rest | arrays
-            unknown = set(record) ^ {field.name for field in fields(cls)}
+            none = {name: np.zeros(1) for name in DRY_FIELDS}  # files older than these
+            record = {"hardware": None} | none | rest | arrays
+            unknown = set(record) ^ {each.name for each in fields(cls)}
             if unknown:
                 allowed = f"the fields of Robot; differing: {sorted(unknown)}"
                 raise InvalidField("path", path, allowed)
@@ -306,6 +318,7 @@ _CABLE_FIELDS = (
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",
     "length_min", "length_max",
 )  # fmt: skip
+DRY_FIELDS = ("exit_friction", "anchor_friction", "length_hysteresis")  # 0 where not given
 _VECTOR_FIELDS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
 _OPTIONAL_SHAPES: dict[str, tuple[int, ...]] = {
     "exit_covariance": (3, 3),
@@ -322,7 +335,7 @@ _POSITIVE_FIELDS = (
 )  # fmt: skip
 _NOT_NEGATIVE_FIELDS = (
     "pulley_radius", "run_length", "axial_damping", "tension_min", "winch_lag", "length_min",
-    "drum_buildup", "drag", "angular_drag",
+    "drum_buildup", "drag", "angular_drag", *DRY_FIELDS,
 )  # fmt: skip
 _ORDERED_FIELDS = (
     ("tension_min", "tension_max"),

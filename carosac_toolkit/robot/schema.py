@@ -145,6 +145,8 @@ class CableType(_Section):
     area: Annotated[float, _reads("m^2", "> 0")] | None = None
     material_density: Annotated[float, _reads("kg/m^3", "> 0")] | None = None
     axial_damping: Annotated[float, _reads("N*s", ">= 0")]
+    exit_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
+    anchor_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
     diameter: Extent
 
     @model_validator(mode="after")
@@ -188,6 +190,7 @@ class WinchInput(_Section):
     length_min: Distance
     length_max: Extent
     run_length: Distance
+    length_hysteresis: Distance = 0.0
     drum: Drum | None = None
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from carosac_toolkit.robot.robot import Robot
 UNITS_BY_FIELD: Mapping[str, str] = {
     "exit_points": "m", "exit_covariance": "m^2", "pulley_radius": "m", "run_length": "m",
     "anchor_points": "m", "linear_density": "kg/m", "axial_stiffness": "N", "axial_damping": "N s",
+    "exit_friction": "N m", "anchor_friction": "N m", "length_hysteresis": "m",
     "cable_diameter": "m", "tension_min": "N", "tension_max": "N", "speed_max": "m/s",
     "acceleration_max": "m/s^2", "winch_lag": "s", "length_min": "m", "length_max": "m",
     "drum_radius": "m", "drum_buildup": "m", "mass": "kg", "center_of_mass": "m",

@@ -24,15 +24,20 @@ from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
 
 _SIGNIFICANT_DIGITS = 12  # of written numbers
-_CABLE_TYPE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping")
-_DRUM_KEYS = {"drum_radius": "radius", "drum_buildup": "buildup"}
+_CABLE_TYPE_FIELDS = (
+    "linear_density", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction"
+)  # fmt: skip
+_WINCH_PATHS: dict[str, tuple[str, ...]] = {
+    "drum_radius": ("drum", "radius"), "drum_buildup": ("drum", "buildup"),
+    "length_hysteresis": ("length_hysteresis",),
+}  # fmt: skip
 _SENSOR_PATHS = {
     "length_offset": "sensors.lengths.cables", "length_scale": "sensors.lengths.cables",
     "length_delay": "sensors.lengths.delay",
 }  # fmt: skip
 _TEXT_FIELDS = ("name", "description", "licence")
 _WRITABLE_FIELDS = (
-    *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_DRUM_KEYS, "exit_points", "exit_covariance",
+    *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_WINCH_PATHS, "exit_points", "exit_covariance",
     "anchor_points", "run_length", "mass", "center_of_mass", "inertia", "drag", "angular_drag",
     "length_offset", "length_scale", "length_delay", "pose_rotation", "calibrated",
     "calibration_covariance", "provenance",
@@ -94,9 +99,9 @@ class _Writer:
             self._anchor_points()
         for name in changed.intersection(_CABLE_TYPE_FIELDS):
             self._in_parts("cable", "cable_types", name, (name,), getattr(robot, name))
-        for name, key in _DRUM_KEYS.items():
+        for name, path in _WINCH_PATHS.items():
             if name in changed:
-                self._in_parts("winch", "winches", name, ("drum", key), getattr(robot, name))
+                self._in_parts("winch", "winches", name, path, getattr(robot, name))
         if "run_length" in changed:
             self._run_length()
         self._body(changed)

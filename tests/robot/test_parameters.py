@@ -17,6 +17,7 @@ NAMES = (
     "axial_stiffness[cable1]", "linear_density[cable2]", "axial_damping[cable4]",
     "run_length[cable3]", "length_delay", "pose_tilt.x", "pose_tilt.y", "mass", "drag",
     "angular_drag", "center_of_mass.x", "inertia.xx", "inertia.xy", "inertia.yz",
+    "exit_friction[cable1]", "anchor_friction[cable2]", "length_hysteresis[cable3]",
 )  # fmt: skip
 TURN = Rotation.from_euler("zyx", [70.0, 3.0, -2.0], degrees=True).as_matrix()
 

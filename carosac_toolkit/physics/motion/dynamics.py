@@ -22,6 +22,7 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
+from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import CAROSAC_GRAVITY_M_PER_S2, CAROSAC_WORKSPACE_M, Scales
 from carosac_toolkit.robot.robot import Robot
@@ -185,6 +186,7 @@ class NodelessDynamics:
         hung.q = wp.zeros((size, n), dtype=wp.vec3d, device=device)
         hung.inverse = wp.zeros((size, n), dtype=wp.mat33d, device=device)
         hung.tension = wp.zeros((size, n), dtype=wp.float64, device=device)
+        hung.bristles = wp.zeros((size, n), dtype=Bristles, device=device)
         hung.drag = drag
         self.hung = hung
         before = [plants, worlds, hung, self._model]

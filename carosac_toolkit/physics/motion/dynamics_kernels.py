@@ -37,7 +37,8 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
     world_inertia,
 )
-from carosac_toolkit.physics.motion.winch_kernels import WinchState
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, slid_bristles
+from carosac_toolkit.physics.motion.winch_kernels import resting
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
@@ -50,6 +51,7 @@ from carosac_toolkit.physics.motion.world_kernels import (
     is_nonsense,
     publish,
     roughness,
+    sliding_time,
     turn_back,
     turn_winches,
 )
@@ -82,6 +84,7 @@ class Hung:
     q: wp.array2d(dtype=wp.vec3d)  # tension vector at the exit [N]
     inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
     tension: wp.array2d(dtype=wp.float64)  # scratch: at the anchor point [N]
+    bristles: wp.array2d(dtype=Bristles)  # scratch: at the end of the step
     drag: wp.float64  # air drag per mass of cable [1/s]
 
 
@@ -166,9 +169,9 @@ class MotionLoad:
 
 @wp.func
 def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
-                 body: DynamicBody, trial: BodyMotion, system: System,
+                 body: DynamicBody, start: BodyMotion, trial: BodyMotion, system: System,
                  scheme: Scheme) -> MotionLoad:  # fmt: skip
-    """Add the pull and the inertia of each cable; correct q to first order."""
+    """Add pull, inertia and friction of each cable; correct q to first order."""
     out = MotionLoad()
     total = system
     for i in range(worlds.winch.shape[1]):
@@ -206,6 +209,12 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
             inertia = mass * (scheme.stiff + hung.drag / scheme.reach)
             k = k + inertia * wp.identity(n=3, dtype=wp.float64)
         total = attach(total, arm, force, k)
+        if cable.exit_friction + cable.anchor_friction > ZERO:
+            rubbing = rub(
+                total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
+            )
+            total = rubbing.system
+            hung.bristles[b, i] = rubbing.bristles
     out.system = total
     return out
 
@@ -237,6 +246,7 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
+        worlds.bristles[b, i] = hung.bristles[b, i]
     worlds.rough[b] = roughness(worlds.rough[b], snap)
 
 
@@ -260,7 +270,9 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     size = wp.float64(0.0)
     while going:
         system = inertial_system(body, start, trial, scheme, gusts.force)
-        loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
+        loaded = load_anchors(
+            plants, worlds, hung, b, row, model, body, start, trial, system, scheme
+        )
         newton = solve_system(loaded.system)
         velocity += newton.move / scheme.reach
         omega += newton.turn / scheme.reach
@@ -350,19 +362,26 @@ def release(
     worlds.rough[b] = STEPS_ALIKE
     worlds.failed[b] = 0
     for i in range(worlds.winch.shape[1]):
-        winch = WinchState()
-        winch.length = freed.unstrained_length[b, i]
+        winch = resting(freed.unstrained_length[b, i])
         winch.rate = freed.rate[b, i]
+        winch.wound_rate = freed.rate[b, i]
         worlds.winch[b, i] = winch
         arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
-        worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
+        velocity = start.velocity + wp.cross(omega, arm)
+        worlds.anchor_velocity[b, i] = velocity
+        worlds.bristles[b, i] = slid_bristles(
+            plants.cables[row, i], start.center + arm, velocity, omega, body.size,
+            sliding_time(body),
+        )  # fmt: skip
         worlds.anchor_rate[b, i] = wp.vec3d()
     scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()
     for _ in range(RELEASE_EVALUATIONS):  # the first times close the cables
         system = inertial_system(body, start, trial, scheme, gusts.force)
-        loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
+        loaded = load_anchors(
+            plants, worlds, hung, b, row, model, body, start, trial, system, scheme
+        )
         newton = solve_system(loaded.system)
     start.velocity_rate = newton.move / (scheme.reach * instant)
     start.angular_rate = newton.turn / (scheme.reach * instant)

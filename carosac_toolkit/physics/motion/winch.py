@@ -16,7 +16,7 @@ from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.motion import winch_kernels
-from carosac_toolkit.physics.motion.winch_kernels import Winch
+from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -25,7 +25,6 @@ STEPS_PER_OWN_LAG = 20  # at least so many in the lag of a winch that is quicker
 STEP_WITHOUT_LAG = Scaled(2e-3, "s")  # in which a winch without lag reaches its command
 STEP_MIN = Scaled(0.1e-3, "s")  # a lag below it is none
 INTEGRAL_TIME_STEPS_MIN = 2.0  # shortest integral time that the inner steps resolve, in steps
-_STATE_BUFFERS = ("length", "rate", "integral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +103,7 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
     records["acceleration_max"] = robot.acceleration_max
     records["integral_rate"] = 0.0 if integral_time is None else 1.0 / integral_time
     records["derivative_time"] = chosen.derivative_time
+    records["hysteresis"] = robot.length_hysteresis
     belief = chosen.believed_drum_buildup
     if robot.drum_radius is None or robot.drum_buildup is None:
         if belief is not None:
@@ -143,20 +143,25 @@ class WinchBatch:
         self._records = wp.array(records[None], dtype=Winch, device="cpu")
         self._encoders = Encoders([robot], len(start), settings)
         self._shape = start.shape
-        names = (*_STATE_BUFFERS, "command")
-        shapes: dict[str, tuple[Any, Any]] = {k: (start.shape, wp.float64) for k in names}
-        self._buffers = Buffers("cpu", shapes | {"duration": ((1,), wp.float64)})
-        self._buffers.put("length", start)
+        shapes: dict[str, tuple[Any, Any]] = {
+            "states": (start.shape, WinchState),
+            "command": (start.shape, wp.float64),
+            "duration": ((1,), wp.float64),
+        }
+        self._buffers = Buffers("cpu", shapes)
+        states = np.zeros(start.shape, dtype=WinchState.numpy_dtype())
+        states["length"] = states["wound"] = start
+        self._buffers.put("states", states)
 
     @property
     def length(self) -> Array:
         """True unstrained lengths [m], shape (B, n)."""
-        return self._buffers.get("length")
+        return self._state("length")
 
     @property
     def rate(self) -> Array:
         """Rate of the true lengths [m/s], shape (B, n)."""
-        return self._buffers.get("rate")
+        return self._state("rate")
 
     def advance(self, command: Array, duration: float) -> None:
         """Follow a constant command.
@@ -170,12 +175,16 @@ class WinchBatch:
             self._buffers.put("duration", np.array([duration]))
             self._buffers.launch(
                 "advance", winch_kernels.advance, self._shape,
-                self._records, "command", "duration", *_STATE_BUFFERS,
+                self._records, "command", "duration", "states",
             )  # fmt: skip
 
     def read(self) -> Array:
         """Return lengths read by perfect encoders on the drums [m], shape (B, n)."""
-        return self._encoders.read(self.length)
+        return self._encoders.read(self._state("wound"))
+
+    def _state(self, name: str) -> Array:
+        """Return a number of each winch, shape (B, n)."""
+        return np.array(self._buffers.get("states")[name])
 
 
 class Encoders:
@@ -204,10 +213,10 @@ class Encoders:
         shapes = {name: (self._shape, wp.float64) for name in ("length", "reading")}
         self._buffers = Buffers("cpu", shapes)
 
-    def read(self, unstrained_length: Array) -> Array:
-        """Return readings of true lengths [m], shape (B, n)."""
+    def read(self, wound_length: Array) -> Array:
+        """Return readings of lengths that the drums have turned for [m], shape (B, n)."""
         with self._buffers.lock:
-            self._buffers.put("length", unstrained_length)
+            self._buffers.put("length", wound_length)
             self._buffers.launch(
                 "read", winch_kernels.read, self._shape, self._records, "length", "reading"
             )
@@ -225,3 +234,26 @@ def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None
             f"drum pays out {robot.length_max[i]:g} m"
         )
         raise InvalidField(f"{name}[{i}]", f"{buildup[i]:g} m", allowed)
+
+
+def lagging_lengths(wound_length: Array, hysteresis: Array) -> Array:
+    """Return the true lengths of what drums have turned for, with the hysteresis of winches.
+
+    Args:
+        wound_length: In time [m], shape (K, B, n); straight between two of them.
+        hysteresis: Of each winch [m], shape (B, n).
+
+    Returns:
+        Unstrained lengths [m], shape (K, B, n). The first are in the middle of the hysteresis.
+    """
+    if not np.any(hysteresis):
+        return wound_length
+    warp_setup.load(winch_kernels)
+    length = wp.empty(wound_length.shape, dtype=wp.float64, device="cpu")
+    inputs = [
+        wp.array(wound_length, dtype=wp.float64, device="cpu"),
+        wp.array(hysteresis, dtype=wp.float64, device="cpu"),
+        length,
+    ]
+    wp.launch(winch_kernels.lagging, wound_length.shape[1:], inputs=inputs, device="cpu")
+    return np.array(length.numpy())

@@ -15,6 +15,13 @@ A drum of radius r whose squared radius falls by `buildup` per length paid out, 
 at length 0 (cable fully wound in), has dr/d(angle) = -buildup / 2 and thus
 
     length = drum_radius * angle - buildup * angle^2 / 4.
+
+A cable that bends round drum and pulleys, a gear with play, a belt: they pay out less than the drum
+has turned for while it pays out, by the hysteresis h at most, and more while it winds in,
+
+    length = wound - h lag,    d(lag) = (d(wound) - lag |d(wound)|) / (2 h),
+
+which is Dahl's law: monotone, at rest for a moment at each reversal, and the same at every speed.
 """
 
 import warp as wp
@@ -34,6 +41,7 @@ class Winch:
     step_max: wp.float64  # longest inner step [s]
     speed_max: wp.float64  # [m/s]
     acceleration_max: wp.float64  # [m/s^2]
+    hysteresis: wp.float64  # of the true length against what the drum has turned for [m]
     integral_rate: wp.float64  # [1/s]; 0: no integral
     derivative_time: wp.float64  # [s]
     drum_radius: wp.float64  # at length 0 [m]; 0: no drum known, lengths are commanded directly
@@ -48,6 +56,9 @@ class WinchState:
 
     length: wp.float64  # true unstrained length [m]
     rate: wp.float64  # of that length [m/s]
+    wound: wp.float64  # what the drum has turned for [m]: the length, but for the hysteresis
+    wound_rate: wp.float64  # of that [m/s]
+    lag: wp.float64  # of the length behind it, in hystereses, -1 to 1
     integral: wp.float64  # of target - length over time [m s]
 
 
@@ -85,6 +96,41 @@ def read_length(winch: Winch, length: wp.float64) -> wp.float64:
 
 
 @wp.func
+def lag_after(lag: wp.float64, change: wp.float64, hysteresis: wp.float64) -> wp.float64:
+    """Return the lag after a change of the wound length [m] that goes straight on."""
+    out = lag
+    if hysteresis > ZERO and change != ZERO:
+        way = wp.sign(change)
+        out = way + (lag - way) * wp.exp(-wp.abs(change) / (f64(2.0) * hysteresis))
+    return out
+
+
+@wp.func
+def paid_out_state(
+    winch: Winch, state: WinchState, wound: wp.float64, wound_rate: wp.float64
+) -> WinchState:
+    """Return the state in which the drum has turned for another length [m], with a rate [m/s]."""
+    after = state
+    after.wound = wound
+    after.wound_rate = wound_rate
+    after.lag = lag_after(state.lag, wound - state.wound, winch.hysteresis)
+    after.length = wound - winch.hysteresis * after.lag
+    after.rate = wound_rate
+    if winch.hysteresis > ZERO:
+        after.rate = f64(0.5) * (wound_rate + after.lag * wp.abs(wound_rate))
+    return after
+
+
+@wp.func
+def resting(length: wp.float64) -> WinchState:
+    """Return a winch at rest of a true length [m], in the middle of its hysteresis."""
+    out = WinchState()
+    out.length = length
+    out.wound = length
+    return out
+
+
+@wp.func
 def winch_advance(
     winch: Winch, state: WinchState, command: wp.float64, duration: wp.float64
 ) -> WinchState:
@@ -100,8 +146,8 @@ def winch_advance(
         The state after it.
     """
     target = wound_length(winch, command)
-    length = state.length
-    rate = state.rate
+    length = state.wound
+    rate = state.wound_rate
     integral = state.integral
     if duration > ZERO:
         # Rounding of the duration must not change the count.
@@ -118,9 +164,7 @@ def winch_advance(
                 integral += h * error
             rate += wp.clamp(change, -most, most)
             length += h * rate
-    after = WinchState()
-    after.length = length
-    after.rate = rate
+    after = paid_out_state(winch, state, length, rate)
     after.integral = integral
     return after
 
@@ -130,21 +174,28 @@ def advance(
     winches: wp.array2d(dtype=Winch),
     command: wp.array2d(dtype=wp.float64),
     duration: wp.array(dtype=wp.float64),
-    length: wp.array2d(dtype=wp.float64),
-    rate: wp.array2d(dtype=wp.float64),
-    integral: wp.array2d(dtype=wp.float64),
+    states: wp.array2d(dtype=WinchState),
 ):
     """Advance the winches of B robots, one thread per winch; one row of winches serves them all."""
     b, i = wp.tid()
     winch = winches[wp.min(b, winches.shape[0] - 1), i]
-    state = WinchState()
-    state.length = length[b, i]
-    state.rate = rate[b, i]
-    state.integral = integral[b, i]
-    state = winch_advance(winch, state, command[b, i], duration[0])
-    length[b, i] = state.length
-    rate[b, i] = state.rate
-    integral[b, i] = state.integral
+    states[b, i] = winch_advance(winch, states[b, i], command[b, i], duration[0])
+
+
+@wp.kernel
+def lagging(
+    wound: wp.array3d(dtype=wp.float64),
+    hysteresis: wp.array2d(dtype=wp.float64),
+    length: wp.array3d(dtype=wp.float64),
+):
+    """Compute true lengths of wound ones in time, (K, B, n), first in the middle; a thread each."""
+    b, i = wp.tid()
+    h = hysteresis[b, i]
+    lag = wp.float64(0.0)
+    length[0, b, i] = wound[0, b, i]
+    for k in range(1, wound.shape[0]):
+        lag = lag_after(lag, wound[k, b, i] - wound[k - 1, b, i], h)
+        length[k, b, i] = wound[k, b, i] - h * lag
 
 
 @wp.kernel

@@ -14,7 +14,13 @@ from carosac_toolkit.physics.motion.body_kernels import (
     origin_of,
     origin_velocity,
 )
-from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState, winch_advance
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, slid_bristles
+from carosac_toolkit.physics.motion.winch_kernels import (
+    Winch,
+    WinchState,
+    resting,
+    winch_advance,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -28,6 +34,10 @@ NEWTON_STEP_MIN = wp.constant(
 LOST_DISTANCE_LENGTHS = wp.constant(
     wp.float64(100.0)
 )  # typical cable lengths: farther from the exits is lost
+
+SLIDING_TIME = wp.constant(
+    wp.float64(0.1)
+)  # of sqrt(size / gravity): how long a platform moved before it is put into motion
 
 
 @wp.struct
@@ -49,6 +59,7 @@ class Worlds:
     winch_before: wp.array2d(dtype=WinchState)  # scratch
     anchor_velocity: wp.array2d(dtype=wp.vec3d)  # [m/s]
     anchor_rate: wp.array2d(dtype=wp.vec3d)
+    bristles: wp.array2d(dtype=Bristles)  # of dry friction
     command: wp.array2d(dtype=wp.float64)  # [m]
     gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
@@ -60,7 +71,8 @@ class Worlds:
     rotation: wp.array(dtype=wp.mat33d)
     twist: wp.array(dtype=vec6d)
     acceleration: wp.array(dtype=vec6d)
-    unstrained_length: wp.array2d(dtype=wp.float64)
+    unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
+    wound_length: wp.array2d(dtype=wp.float64)  # what the drums have turned for [m]
     tension: wp.array2d(dtype=wp.float64)  # at the platform [N]
     iterations: wp.array(dtype=int)  # most Newton steps of one time step
     capped: wp.array(dtype=int)  # time steps that ended at the limit
@@ -132,6 +144,8 @@ def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64
             state = worlds.winch[b, i]
             state.rate = (worlds.command[b, i] - state.length) / left
             state.length = state.length + h * state.rate
+            state.wound = state.length + plants.winches[row, i].hysteresis * state.lag
+            state.wound_rate = state.rate
             worlds.winch[b, i] = state
         else:
             worlds.winch[b, i] = winch_advance(
@@ -182,6 +196,13 @@ def publish(plants: Plants, worlds: Worlds, b: int, row: int, lane: int, lanes: 
     worlds.acceleration[b] = vec6d(a[0], a[1], a[2], alpha[0], alpha[1], alpha[2])
     for i in range(lane, worlds.winch.shape[1], lanes):
         worlds.unstrained_length[b, i] = worlds.winch[b, i].length
+        worlds.wound_length[b, i] = worlds.winch[b, i].wound
+
+
+@wp.func
+def sliding_time(body: DynamicBody) -> wp.float64:
+    """Return for how long a platform has been moving that is put into motion [s]."""
+    return SLIDING_TIME * wp.sqrt(body.size / body.gravity)
 
 
 @wp.kernel
@@ -207,11 +228,13 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     worlds.capped[b] = 0
     worlds.residual[b] = wp.float64(0.0)
     for i in range(worlds.winch.shape[1]):
-        state = WinchState()
-        state.length = unstrained_length[k, i]
-        worlds.winch[b, i] = state
+        worlds.winch[b, i] = resting(unstrained_length[k, i])
         arm = rotation[k] * (plants.cables[row, i].anchor_point - body.center_of_mass)
-        worlds.anchor_velocity[b, i] = motion.velocity + wp.cross(w, arm)
+        velocity = motion.velocity + wp.cross(w, arm)
+        worlds.anchor_velocity[b, i] = velocity
+        worlds.bristles[b, i] = slid_bristles(
+            plants.cables[row, i], motion.center + arm, velocity, w, body.size, sliding_time(body)
+        )
         worlds.anchor_rate[b, i] = wp.vec3d()
         worlds.tension[b, i] = tension[k, i]
     publish(plants, worlds, b, row, 0, 1)

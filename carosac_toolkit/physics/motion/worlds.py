@@ -15,6 +15,7 @@ from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, Gusts, Wind
+from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.physics.scales import Scales
@@ -23,9 +24,9 @@ from carosac_toolkit.robot.robot import Robot
 GUST_INTERVAL = Scaled(0.01, "s")  # between two draws of the wind
 # What a world needs to go on, and what people read of it.
 STATE_FIELDS = (
-    "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "rough",
-    "failed", "time", "command", "position", "rotation", "twist", "acceleration",
-    "unstrained_length", "tension", "iterations", "capped", "residual",
+    "motion", "winch", "anchor_velocity", "anchor_rate", "bristles", "gusts", "seed", "last",
+    "rough", "failed", "time", "command", "position", "rotation", "twist", "acceleration",
+    "unstrained_length", "wound_length", "tension", "iterations", "capped", "residual",
 )  # fmt: skip
 
 
@@ -86,8 +87,8 @@ def allocate_worlds(size: int, n: int, device: str, seeds: NDArray[np.int32]) ->
         setattr(out, name, wp.zeros(size, dtype=kind, device=device))
     for name, kind in (
         ("winch", WinchState), ("winch_before", WinchState), ("anchor_velocity", wp.vec3d),
-        ("anchor_rate", wp.vec3d), ("command", wp.float64),
-        ("unstrained_length", wp.float64), ("tension", wp.float64),
+        ("anchor_rate", wp.vec3d), ("bristles", Bristles), ("command", wp.float64),
+        ("unstrained_length", wp.float64), ("wound_length", wp.float64), ("tension", wp.float64),
     ):  # fmt: skip
         setattr(out, name, wp.zeros((size, n), dtype=kind, device=device))
     out.seed = wp.array(seeds, dtype=int, device=device)

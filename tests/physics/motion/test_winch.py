@@ -13,6 +13,7 @@ from carosac_toolkit.physics.motion.winch import (
     WinchBatch,
     WinchSettings,
     inner_steps,
+    lagging_lengths,
     winch_records,
 )
 from carosac_toolkit.robot.file import load_robot
@@ -306,3 +307,34 @@ def test_a_lag_that_is_next_to_none_takes_no_more_steps_than_none():
         tiny = replace(robot, winch_lag=np.full(robot.n, lag))
         none = replace(robot, winch_lag=np.zeros(robot.n))
         assert inner_steps(tiny) == pytest.approx(inner_steps(none))
+
+
+def test_a_hysteresis_holds_the_length_back_at_reversals_and_has_the_stated_width():
+    """Wound out and in over many times its width: 2 h between both ways, at every speed."""
+    wide = np.array([2e-3, 0.0, 1e-3, 0.5e-3])
+    fast = {"winch_lag": [0.0] * 4, "speed_max": [1e9] * 4, "acceleration_max": [1e15] * 4}
+    way = 0.06 * np.concatenate([np.linspace(0.0, 1.0, 400), np.linspace(1.0, -1.0, 800)])
+    loops = []
+    for period in (INNER_STEP_MAX_S, 10.0 * INNER_STEP_MAX_S):
+        batch = winches(length_hysteresis=wide, **fast)
+        lengths, _ = follow(batch, START + way[:, None], period)
+        assert batch.read()[0] == pytest.approx(np.full(4, START + way[-1]))  # the drum's turns
+        loops.append(lengths)
+    assert loops[0] == pytest.approx(loops[1], abs=1e-12)
+    lengths = loops[0]
+    out = np.array([np.interp(0.03, way[:400], one[:400]) for one in lengths.T])
+    back = np.array([np.interp(-0.03, -way[400:], one[400:]) for one in lengths.T])
+    assert back - out == pytest.approx(2.0 * wide, rel=1e-3)
+    assert (np.diff(lengths[400:], axis=0) <= 1e-15).all()  # never the wrong way
+    turn = np.diff(lengths[398:404], axis=0)
+    assert np.abs(turn[2, 0]) < 0.2 * np.abs(turn[2, 1])  # held back just after the reversal
+
+
+def test_recorded_lengths_lag_as_those_of_a_winch():
+    wide = np.array([2e-3, 0.0, 1e-3, 0.5e-3])
+    fast = {"winch_lag": [0.0] * 4, "speed_max": [1e9] * 4, "acceleration_max": [1e15] * 4}
+    wound = START + 0.02 * np.sin(np.linspace(0.0, 9.0, 300))[:, None] * np.ones(4)
+    lengths, _ = follow(winches(length_hysteresis=wide, **fast), wound)
+    start = np.full((1, 4), START)
+    lagged = lagging_lengths(np.concatenate([start, wound])[:, None], wide[None])[1:, 0]
+    assert lagged == pytest.approx(lengths, abs=1e-12)

@@ -1,0 +1,184 @@
+"""Dry friction where cables end, in float64 Warp: Dahl's model of presliding.
+
+What rubs is held by bristles. They bend by the slip between both sides, in radians here, and slide
+once they are bent by `PRESLIDING_ANGLE`: with the slip s of a time step the bend z becomes
+
+    z' = exp(-a) z + (1 - exp(-a)) / a s,    a = |s| / PRESLIDING_ANGLE,
+
+Dahl's law dz = s (1 - z.s / (|s| z_max)) solved for a slip that goes straight on, as `sliding`
+vectors. The moment is the dry one times z / z_max: a spring in the small, Coulomb friction in the
+large, and independent of how fast it goes. It never gives more energy back than it took.
+
+Two moments rub at each cable. At its exit the swivel of a pulley resists turning about its axis,
+and an eyelet turning of the cable in any direction. At its anchor the joint resists turning of the
+platform against the cable, but for the twist about the cable. Both see the cable as a rod from
+exit point to anchor, and move the platform by a virtual power: what resists a turn of the cable
+also pulls across it, by the moment over the length.
+
+References:
+    Dahl, *A solid friction model*, The Aerospace Corporation, 1968.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable.catenary_kernels import ONE, ZERO
+from carosac_toolkit.physics.device_kernels import Cable
+from carosac_toolkit.physics.motion.body_kernels import BodyMotion, System, attach
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+PRESLIDING_ANGLE = wp.constant(wp.float64(0.01))  # [rad]: bend of bristles that slide
+SMALL_SLIP = wp.constant(wp.float64(1.0e-6))  # of it, below which the series is exact to rounding
+DISTANCE_MIN = wp.constant(wp.float64(1.0e-9))  # of the anchor, in typical lengths: no division
+
+
+@wp.struct
+class Bristles:
+    """Bend at both ends of a cable, in W [rad]; each is at right angles to the cable."""
+
+    exit: wp.vec3d
+    anchor: wp.vec3d
+
+
+@wp.struct
+class Rubbing:
+    """What friction at both ends of a cable does to the platform."""
+
+    system: System
+    bristles: Bristles
+
+
+@wp.func
+def bent(z: wp.vec3d, slip: wp.vec3d) -> wp.vec3d:
+    """Return the bend of bristles after a slip."""
+    a = wp.length(slip) / PRESLIDING_ANGLE
+    keep = wp.exp(-a)
+    gain = ONE - wp.float64(0.5) * a
+    if a > SMALL_SLIP:
+        gain = (ONE - keep) / a
+    return keep * z + gain * slip
+
+
+@wp.func
+def bend_per_slip(z: wp.vec3d, slip: wp.vec3d) -> wp.mat33d:
+    """Return the derivative of `bent` by the slip, without its asymmetric part; not negative."""
+    size = wp.length(slip)
+    a = size / PRESLIDING_ANGLE
+    gain = ONE - wp.float64(0.5) * a
+    out = wp.identity(n=3, dtype=wp.float64)
+    if a > SMALL_SLIP:
+        keep = wp.exp(-a)
+        gain = (ONE - keep) / a
+        way = slip / size
+        along = keep * wp.max(ONE - wp.dot(z, way) / PRESLIDING_ANGLE, ZERO)
+        out = gain * out + (along - gain) * wp.outer(way, way)
+    return out
+
+
+@wp.func
+def slid(rate: wp.vec3d, time: wp.float64) -> wp.vec3d:
+    """Return the bend of bristles that a rate [rad/s] has been sliding for some time [s].
+
+    It has no kink at rest, where nothing is known of what was before.
+    """
+    return rate * (time / (ONE + wp.length(rate) * time / PRESLIDING_ANGLE))
+
+
+@wp.struct
+class Lines:
+    """Directions in which a cable turns: by exit point and anchor alone, as a rod."""
+
+    cable: wp.vec3d  # unit vector, exit point to anchor
+    across: wp.mat33d  # projection on the directions that turn it
+    per_length: wp.float64  # [1/m]
+    exit_across: wp.mat33d  # on those that rub at the exit
+    exit_per_length: wp.float64  # [1/m]
+
+
+@wp.func
+def lines_of(cable: Cable, anchor: wp.vec3d, size: wp.float64) -> Lines:
+    """Return the directions of a cable to an anchor in W; `size` is a typical length [m]."""
+    rod = anchor - cable.exit_point
+    out = Lines()
+    length = wp.max(wp.length(rod), DISTANCE_MIN * size)
+    out.cable = rod / length
+    out.per_length = ONE / length
+    out.across = wp.identity(n=3, dtype=wp.float64) - wp.outer(out.cable, out.cable)
+    out.exit_across = out.across
+    out.exit_per_length = out.per_length
+    if cable.pulley_radius > ZERO:
+        k = cable.swivel_axis
+        outward = rod - wp.dot(rod, k) * k
+        radius = wp.length(outward)
+        out.exit_per_length = ONE / wp.max(radius, cable.pulley_radius)
+        side = wp.cross(k, outward) / wp.max(radius, DISTANCE_MIN * size)
+        out.exit_across = wp.outer(side, side)
+    return out
+
+
+@wp.func
+def slid_bristles(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, omega: wp.vec3d,
+                  size: wp.float64, time: wp.float64) -> Bristles:  # fmt: skip
+    """Return the bristles of a cable whose platform has been moving for some time [s].
+
+    Args:
+        cable: The cable.
+        anchor: Its anchor point in W [m].
+        velocity: Of the anchor point [m/s].
+        omega: Angular velocity of the platform [rad/s].
+        size: Typical length [m].
+        time: [s].
+    """
+    lines = lines_of(cable, anchor, size)
+    out = Bristles()
+    out.exit = slid(lines.exit_per_length * (lines.exit_across * velocity), time)
+    turning = lines.across * omega - lines.per_length * wp.cross(lines.cable, velocity)
+    out.anchor = slid(turning, time)
+    return out
+
+
+@wp.func
+def rub(system: System, cable: Cable, bristles: Bristles, center_of_mass: wp.vec3d,
+        start: BodyMotion, trial: BodyMotion, size: wp.float64) -> Rubbing:  # fmt: skip
+    """Add the dry friction of a cable at the end of a time step.
+
+    Args:
+        system: Force, moment and matrix of the platform.
+        cable: The cable, of which any friction is not 0.
+        bristles: At the start of the step.
+        center_of_mass: Of the platform in P [m].
+        start: Motion at the start of the step.
+        trial: At its end.
+        size: Typical length [m].
+    """
+    out = Rubbing()
+    out.bristles = bristles
+    before = start.rotation * (cable.anchor_point - center_of_mass)
+    arm = trial.rotation * (cable.anchor_point - center_of_mass)
+    anchor = trial.center + arm
+    way = anchor - (start.center + before)
+    lines = lines_of(cable, anchor, size)
+    total = system
+    if cable.exit_friction > ZERO:
+        stiffness = cable.exit_friction / PRESLIDING_ANGLE * lines.exit_per_length
+        z = lines.exit_across * bristles.exit
+        slip = lines.exit_per_length * (lines.exit_across * way)
+        out.bristles.exit = bent(z, slip)
+        k = lines.exit_across * bend_per_slip(z, slip) * lines.exit_across
+        total = attach(
+            total, arm, -stiffness * out.bristles.exit, stiffness * lines.exit_per_length * k
+        )
+    if cable.anchor_friction > ZERO:
+        stiffness = cable.anchor_friction / PRESLIDING_ANGLE
+        d = trial.rotation * wp.transpose(start.rotation)
+        turn = wp.float64(0.5) * wp.vec3d(d[2, 1] - d[1, 2], d[0, 2] - d[2, 0], d[1, 0] - d[0, 1])
+        z = lines.across * bristles.anchor
+        slip = lines.across * turn - lines.per_length * wp.cross(lines.cable, way)
+        out.bristles.anchor = bent(z, slip)
+        k = lines.across * bend_per_slip(z, slip) * lines.across
+        pull = stiffness * lines.per_length * wp.cross(out.bristles.anchor, lines.cable)
+        total = attach(total, arm, pull, stiffness * lines.per_length * lines.per_length * k)
+        total.moment = total.moment - stiffness * out.bristles.anchor
+        total.rr = total.rr + stiffness * k
+    out.system = total
+    return out
