@@ -20,7 +20,6 @@ from carosac_toolkit.base.arrays import Array
 # cables without inertia make an error of this size whatever the parameters are.
 SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
-CORRELATED_AXES = 6.0  # axes that count as one, as one swing shows in all of them
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
 
@@ -53,7 +52,7 @@ def estimate_noise(errors: Array) -> PoseErrorNoise:
     rms = np.sqrt((errors**2).mean(axis=0))
     return PoseErrorNoise(
         sigma=np.maximum(SIGMA_MIN, np.minimum(rms, 1.5 * typical)),
-        repeats=CORRELATED_AXES * np.array([_repeats(part) for part in errors.T]),
+        repeats=np.array([_repeats(part) for part in errors.T]),
     )
 
 

@@ -30,6 +30,7 @@ POSE_SHARES = (
 STEPS_PER_SHARE = 4  # for each share but the last
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
+CORRELATED_AXES = 6.0  # axes that count as one in covariances: one swing shows in all of them
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -111,11 +112,14 @@ class Fitter:
         noise = estimate_noise(errors)
         information, _ = self._normal(at, errors, jacobian, noise)
         excess = self._excess(errors, jacobian, noise, information)
-        information /= excess
         own = slice(self._count)
+        inverse = np.linalg.inv(information + self._precision)
+        scores = CORRELATED_AXES * excess * information  # as they vary, beside the prior
+        covariance = inverse @ (scores + self._precision) @ inverse
+        information /= CORRELATED_AXES * excess
         return CoordinateFit(
             coordinates=at[own],
-            covariance=np.asarray(np.linalg.inv(information + self._precision)[own, own], float),
+            covariance=np.asarray(covariance[own, own], float),
             information=self._marginal(information),
             start=at[self._count :],
             excess=excess,
@@ -180,7 +184,7 @@ class Fitter:
         motion = simulate(
             robots, self._path, self._poses.time, time_step=self._settings.time_step, start=start
         )
-        return motion, exists & ~motion.failed
+        return motion.seen_by(self._unknowns.robot, robots), exists & ~motion.failed
 
     def _linearised(self, at: Array) -> tuple[Array, Array]:
         """Return the errors (K, 6) and their Jacobian (K, 6, k + 2 m)."""

@@ -17,10 +17,12 @@ from calibration.identification.sway import FreeSway, swaying_states
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.motion.winch import lagging_lengths
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.parameters import turn_between
 from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
@@ -41,6 +43,15 @@ class OpenLoop:
     position: Array
     rotation: Array
     failed: NDArray[np.bool_]
+
+    def seen_by(self, robot: Robot, robots: Sequence[Robot]) -> OpenLoop:
+        """Return the motion of B robots, each in its own W, in W of one, by how they see poses."""
+        back = np.array([turn_between(each, robot) for each in robots])
+        return OpenLoop(
+            position=np.einsum("bij,kbj->kbi", back, self.position),
+            rotation=back @ self.rotation,
+            failed=self.failed,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +88,7 @@ def simulate(
     time_step: float,
     start: OpenLoopStart | None = None,
 ) -> OpenLoop:
-    """Let platforms hang on the first lengths, and wind on as recorded.
+    """Let platforms hang on the first lengths, and wind on as recorded; each is seen in its own W.
 
     They start displaced from the equilibrium and with a speed as `start` says, and move with the
     winches; without it they start at rest.
@@ -127,9 +138,10 @@ def _lengths(robots: Sequence[Robot], path: LengthPath, when: Array) -> Array:
     """Return the unstrained lengths of B robots at M times [m], shape (M, B, n)."""
     delays = np.array([robot.length_delay or 0.0 for robot in robots])
     readings = path.at(when[:, None] - delays)  # (M, B, n)
-    lengths = np.stack(
+    wound = np.stack(
         [unstrained_lengths(robot, readings[:, b]) for b, robot in enumerate(robots)], axis=1
     )
+    lengths = lagging_lengths(wound, np.array([robot.length_hysteresis for robot in robots]))
     if not (lengths > 0.0).all():
         raise CarosacError(f"a length of {lengths.min():.4g} m: do readings and offsets belong?")
     return lengths

@@ -27,6 +27,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameters import turn_between
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.first_motion import first_speed
 from carosac_toolkit.validation.phases import (
@@ -82,12 +83,12 @@ def identify(
         poses.rotation,
     )  # fmt: skip
     sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
-    before = _motion(robot, path, poses, chosen, sway, sway.guess)
+    before = _motion(robot, robot, path, poses, chosen, sway, sway.guess)
     _check_start(before)
     fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(identified, path, poses, chosen, sway, fit.start)
+    after = _motion(robot, identified, path, poses, chosen, sway, fit.start)
     against_mean = _against_mean(robot, poses, after, test or train)
     scored = None if test is None else _part(poses, before, after, test)
     return Identification(
@@ -143,6 +144,7 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
 
 
 def _motion(
+    before: Robot,
     robot: Robot,
     path: LengthPath,
     poses: MeasuredPoses,
@@ -150,11 +152,12 @@ def _motion(
     sway: FreeSway,
     coordinates: Array,
 ) -> Array:
-    """Return the errors of a robot's simulation at all measured poses, shape (K, 6)."""
+    """Return the errors of a robot's simulation at all poses, in W as before, shape (K, 6)."""
     start = OpenLoopStart(sway=sway, coordinates=coordinates[None])
     motion = simulate([robot], path, poses.time, time_step=settings.time_step, start=start)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
+    motion = motion.seen_by(before, [robot])
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
 
 
@@ -236,7 +239,8 @@ def _rests(
     distances = []
     for each in (robot, identified):
         lengths = calibrated(recording, each).unstrained_length
-        hung = [_mean_position(each, lengths[poses.index[rows]]) for rows in spans]
+        back = turn_between(each, robot)
+        hung = [back @ _mean_position(each, lengths[poses.index[rows]]) for rows in spans]
         where = [poses.position[rows].mean(axis=0) for rows in spans]
         distances.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
     return RestErrors(

@@ -28,6 +28,11 @@ class IdentificationSettings:
         axial_stiffness: Share, one for all cables.
         axial_damping: Share, one for all cables.
         run_length: Of cable between winch and exit point, one for all cables [m].
+        exit_friction: Dry moment at the exits, one for all cables, over the weight per cable times
+            the length of the cables at home.
+        anchor_friction: At the anchor points, over the weight per cable times their lever.
+        length_hysteresis: Of each winch [m].
+        pose_tilt: Of the frame of the poses against gravity, about x and y [rad].
         drag: Share.
         angular_drag: Share.
         rate: Poses per second that are fitted, at most [Hz].
@@ -47,6 +52,10 @@ class IdentificationSettings:
     axial_stiffness: float = 0.7
     axial_damping: float = 1.0
     run_length: float = 2.0
+    exit_friction: float = 1e-3
+    anchor_friction: float = 0.01
+    length_hysteresis: float = 1e-3
+    pose_tilt: float = 0.01
     drag: float = 1.0
     angular_drag: float = 1.0
     rate: float = 10.0

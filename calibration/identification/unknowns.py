@@ -14,12 +14,14 @@ import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
+from calibration.lengths.unknowns import is_anchored
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.device import lever
 from carosac_toolkit.robot.parameter_names import field_of, point_names
-from carosac_toolkit.robot.parameters import values_of, with_values
+from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
@@ -32,7 +34,8 @@ _FACTOR_FIELDS = (
     "drag",
     "angular_drag",
 )
-_NOT_NEGATIVE_FIELDS = ("run_length", "length_delay")  # estimators cannot look ahead
+_DRY_FIELDS = ("exit_friction", "anchor_friction", "length_hysteresis")
+_NOT_NEGATIVE_FIELDS = ("run_length", "length_delay", *_DRY_FIELDS)  # nobody can look ahead
 _PER_CABLE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
 
 
@@ -48,6 +51,8 @@ class Coordinates:
         factor: 1 for a factor, 0 for a change, shape (k,).
         lower: Least coordinates, shape (k,).
         reach: Mean length of the cables at home, straight [m].
+        anchored: True if the exit points are known apart from the measured poses. If not, they are
+            in the frame of the poses, and turn with it where that is tilted.
     """
 
     robot: Robot
@@ -56,6 +61,7 @@ class Coordinates:
     factor: Array
     lower: Array
     reach: float
+    anchored: bool
 
     def robot_at(self, coordinates: Array) -> Robot:
         """Return the robot of some coordinates, shape (k,).
@@ -71,6 +77,9 @@ class Coordinates:
                 values[i] *= self._lengthening(name, values)
         plain = [i for i, name in enumerate(self.prior.names) if name not in _INERTIA_NAMES]
         changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
+        if not self.anchored:
+            exits = changed.exit_points @ turn_between(robot, changed).T
+            changed = replace(changed, exit_points=exits)
         if len(plain) == len(self.prior.names):
             return changed
         stretch = np.ones(3)
@@ -155,6 +164,7 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
         factor=factor.astype(np.float64),
         lower=lower,
         reach=_reach(robot),
+        anchored=is_anchored(robot),
     )
 
 
@@ -177,14 +187,20 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
         "length_delay": ["length_delay"],
+        "exit_friction": ["exit_friction"],
+        "anchor_friction": ["anchor_friction"],
+        "length_hysteresis": [f"length_hysteresis[{c}]" for c in cables],
+        "pose_tilt": ["pose_tilt.x", "pose_tilt.y"],
     }
     for field in _PER_CABLE_FIELDS:
         same = np.ptp(getattr(robot, field)) == 0.0
         groups[field] = [field] if same else [f"{field}[{c}]" for c in cables]
     names: list[str] = []
     scale: list[float] = []
+    moment = robot.weight / robot.n * np.array([_reach(robot), lever(robot)])
+    unit = dict(zip(("exit_friction", "anchor_friction"), moment, strict=True))
     for field, members in groups.items():
-        sigma = getattr(settings, field)
+        sigma = getattr(settings, field) * float(unit.get(field, 1.0))
         if sigma > 0.0:
             names += members
             scale += [sigma] * len(members)
