@@ -1,8 +1,8 @@
 """Draw the figures of the CaRoSaC paper from folders that other commands wrote.
 
 Takes folders of carosac compare, validate, evaluate and train, or one above them, such as
-carosac-results, and draws every figure whose data is there; of each that it cannot draw, it says
-which command makes the data. Where several folders would do, the first one is drawn.
+carosac-results, and draws every figure whose data is there; for the others, it says which commands
+make their data. Where several folders would do, the first one is drawn.
 
 Example: carosac figures runs/compare runs/evaluate --output figures --style paper
 
@@ -11,7 +11,7 @@ Exit status 1 means that no figure was drawn.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,17 +91,20 @@ def _write(
 
 
 def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path) -> None:
-    """Print the source of each figure, and what is missing."""
+    """Print the source of each figure, and which commands make what is missing."""
     width = terminal_width()
     for one in done:
         origin = f", from {one['source']}" if one["source"] is not None else ""
         print(wrapped(f"{one['name']}: {one['what']}{origin}", width))
-    for line in _missing(skipped):
-        print(wrapped(line, width))
-    print(f"{counted(len(done), 'figure')} in {folder}, {len(skipped)} skipped")
+    print(wrapped(f"{counted(len(done), 'figure')} in {folder}{_missing(skipped)}", width))
 
 
-def _missing(skipped: Sequence[dict[str, str]]) -> Iterator[str]:
-    """Return what is missing, and the command that makes it."""
-    for one in skipped:
-        yield f"skipped {one['name']} ({one['what']}): its data is made by {one['command']}"
+def _missing(skipped: Sequence[dict[str, str]]) -> str:
+    """Return how many figures are missing, and how to get them."""
+    commands = sorted({one["command"].split()[1] for one in skipped})
+    if not commands:
+        return ", none skipped"
+    return (
+        f"; {len(skipped)} skipped, whose data comes from carosac {', '.join(commands)} "
+        "(--json FILE has the options)"
+    )

@@ -35,6 +35,7 @@ from carosac_toolkit.pictures.groups import (
     looks_of,
     robots_title,
 )
+from carosac_toolkit.pictures.path_grid import draw_path_grid
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
@@ -54,6 +55,7 @@ TIME_PLOT_TRAJECTORIES = (
     "minimum_snap",
 )  # what is shown over time, first choice first
 PATH_PLOT_TRAJECTORIES = ("spiral", "minimum_snap")
+PATHS_TOGETHER_MAX = 4  # paths that can be followed in one view
 REGIONS = ("centre", "boundary")
 
 
@@ -181,8 +183,10 @@ def _cross(axes: Any, time: Array, values: Array, ends: tuple[float, float], col
 
 @styled
 def draw_paths(results: StudyResults) -> Figure:
-    """Draw the path of one example case in space and in two planes, its error enlarged."""
-    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    """Draw the path of one example case in space and in two planes, its error enlarged.
+
+    More than `PATHS_TOGETHER_MAX` paths have panels of their own, in two planes.
+    """
     curves = _same_example(results, PATH_PLOT_TRAJECTORIES)
     scaled = [one.example for one in curves if not one.example.diverged]
     reference = curves[0].example.reference if curves else np.zeros((1, 3))
@@ -191,16 +195,21 @@ def draw_paths(results: StudyResults) -> Figure:
     for one in curves:
         drawn = _enlarged(one.example, factor)
         paths[one.label] = (drawn, line_style(one.group.look, len(drawn), one.group.number))
-    limits = None
-    if curves:
-        paths["reference"] = (reference, {"color": MEASURED_COLOR, "lw": 0.8, "ls": "--"})
-        limits = limits_of([reference, *(_enlarged(one, factor) for one in scaled)])
-    draw_in_space(figure, paths, STANDARD_VIEWS, limits)
-    set_title(
-        figure,
+    dashes = {"color": MEASURED_COLOR, "lw": 0.8, "ls": "--"}
+    limits = limits_of([reference, *(_enlarged(one, factor) for one in scaled)])
+    text = (
         f"{robots_title(results)}: path of the platform origin{_case_of(curves)}, "
-        + enlarged_text(factor),
+        + enlarged_text(factor)
     )
+    if len(paths) > PATHS_TOGETHER_MAX:
+        figure = draw_path_grid(paths, (reference, dashes | {"label": "reference"}), limits)
+        set_title(figure, text, f"x-y {STANDARD_VIEWS[0][1]}; x-z {STANDARD_VIEWS[1][1]}")
+        return figure
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    if curves:
+        paths["reference"] = (reference, dashes)
+    draw_in_space(figure, paths, STANDARD_VIEWS, limits if curves else None)
+    set_title(figure, text)
     return figure
 
 
@@ -211,31 +220,38 @@ def _enlarged(example: Example, factor: int) -> Array:
 
 @styled
 def draw_regions(results: StudyResults) -> Figure:
-    """Draw the tracking error in the centre of the workspace box and near its boundary."""
+    """Draw the tracking error in the centre of the workspace box and near its boundary.
+
+    A region in which no group was has no place in the picture.
+    """
     groups = groups_of(results)
     figure = new_figure(SINGLE_COLUMN_INCH, 2.6 + 0.15 * len(groups))
     axes = figure.subplots()
     values = {group.number: _by_region(group) for group in groups}
+    known = np.array([np.isfinite(column).any() for column in zip(*values.values(), strict=True)])
+    shown = np.flatnonzero(known) if known.any() else np.arange(len(REGIONS))
     unit, factor = unit_of(values.values())
     for group in groups:
         shift = 0.7 * ((group.number + 0.5) / len(groups) - 0.5)
-        look = group.look
         axes.plot(
-            np.arange(len(REGIONS)) + shift, factor * values[group.number], look.marker,
-            color=look.color, ms=6, label=group.legend,
+            np.arange(len(shown)) + shift, factor * values[group.number][shown], group.look.marker,
+            color=group.look.color, ms=6, label=group.legend, clip_on=False, zorder=3,
         )  # fmt: skip
+    axes.margins(y=0.12)
     if spans_decades(np.concatenate([*values.values(), np.zeros(0)])):
-        axes.margins(y=0.1)
         set_log(axes, "y")
     else:
         axes.set_ylim(bottom=0.0)
-    axes.set_xticks(range(len(REGIONS)), REGIONS)
-    axes.set(xlim=(-0.5, len(REGIONS) - 0.5), ylabel=f"tracking RMSE [{unit}]", axisbelow=True)
-    axes.axvline(0.5, color=MEASURED_COLOR, lw=0.4)
+    axes.set_xticks(range(len(shown)), [REGIONS[k] for k in shown])
+    axes.set(xlim=(-0.5, len(shown) - 0.5), ylabel=f"tracking RMSE [{unit}]", axisbelow=True)
+    for place in range(1, len(shown)):
+        axes.axvline(place - 0.5, color=MEASURED_COLOR, lw=0.4)
     axes.grid(axis="y", alpha=0.25)
+    absent = [name for name, has in zip(REGIONS, known, strict=True) if known.any() and not has]
     set_title(
         figure,
         f"{robots_title(results)}: tracking error by region of the workspace box",
+        *(f"no path came to the {name}" for name in absent),
         left_out(results),
     )
     put_legend(figure, axes)

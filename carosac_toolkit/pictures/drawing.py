@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ MARKED_SAMPLES = 10  # samples of a line that carry its marker
 TURNED_VIEW_ASPECT_MIN = 2.0  # times as far along y as along x: the view from above is turned
 TITLE_CHARACTERS_PER_INCH = 13.0  # of a title per inch
 LEGEND_COLUMNS_MAX = 6
+LEGEND_WIDTH_RATIO_MAX = 0.94  # of the width of its figure
+UPRIGHT_LABEL_POINTS = 6.0  # [points] between the upper end of the z axis and its label
 UPRIGHT_NUMBERS_MAX = 3  # numbers below an axis up to which they have room side by side
 ENLARGED_ERROR_RATIO = 0.25  # of the extent of a path, to which its errors are enlarged at most
 ENLARGED_ERROR_PERCENTILE = 95.0  # percent of the errors that are at most as large as is enlarged
@@ -98,6 +101,26 @@ def set_space(
         axis.labelpad = 6.0 * span / spans.max() - 1.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(pad=0.0)
+    _name_upright_axis(axes, limits)
+
+
+def _name_upright_axis(axes: Any, limits: Array) -> None:
+    """Write the label of the z axis above its upper end.
+
+    The library puts it beside the middle, at a distance that grows with the horizontal extent, so
+    that in views of flat scenes it is closer to other panels than to its axis.
+    """
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    axes.set_zlabel("")
+    ends = [(x, y, limits[2, 1]) for x, y in product(limits[0], limits[1])]
+    top = max(
+        (proj_transform(*end, axes.get_proj())[:2] for end in ends), key=lambda place: place[0]
+    )
+    axes.annotate(
+        "z [m]", top, xytext=(0.0, UPRIGHT_LABEL_POINTS), textcoords="offset points", ha="center",
+        va="bottom", fontsize=axes.zaxis.label.get_fontsize(), annotation_clip=False,
+    )  # fmt: skip
 
 
 def draw_in_space(
@@ -293,7 +316,7 @@ def put_handles(figure: Figure, handles: Iterable[Any], labels: Sequence[str]) -
     from matplotlib.legend_handler import HandlerTuple
 
     known, side_by_side = list(handles), {Shades: HandlerTuple(ndivide=None, pad=0.0)}
-    room = 0.98 * figure.bbox.width
+    room = LEGEND_WIDTH_RATIO_MAX * figure.bbox.width
     for columns in range(max(1, min(len(labels), LEGEND_COLUMNS_MAX)), 0, -1):
         legend = figure.legend(
             known, labels, loc="outside lower center", ncols=columns, handler_map=side_by_side

@@ -18,7 +18,7 @@ from carosac_toolkit.pictures.drawing import (
     set_log,
     set_title,
 )
-from carosac_toolkit.pictures.groups import Group, looks_of
+from carosac_toolkit.pictures.groups import Group
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, REST_COLOR
 from carosac_toolkit.pictures.units import unit_of
 from carosac_toolkit.studies.compare.example_cases import estimates_of
@@ -89,7 +89,11 @@ def draw_estimates(groups: Sequence[Group], robots: str) -> Figure:
         if known
         else "",
     )
-    put_marks(figure, looks_of(groups))
+    drawn = errors.keys() | {k for k, some in squares.items() if some}
+    put_marks(
+        figure,
+        {g.label + ("" if g.number in drawn else " (no estimate)"): g.look for g in groups},
+    )
     return figure
 
 

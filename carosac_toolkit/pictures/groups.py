@@ -108,6 +108,19 @@ def robots_title(results: StudyResults) -> str:
     return ", ".join(names) if len(names) <= 3 else counted(len(names), "robot")
 
 
+def cable_names(results: StudyResults, count: int) -> list[str]:
+    """Return the names of the cables, or numbers where robots of a study differ in them."""
+    named = set()
+    for row in {str(row["robot"]): row for row in results.rows}.values():
+        try:
+            named.add(robot_of_row(results.folder, row).cable_names)
+        except CarosacError:
+            continue
+    if len(named) == 1 and len(names := list(named.pop())) == count:
+        return names
+    return [f"cable {k + 1}" for k in range(count)]
+
+
 def _robot_name(folder: Path, row: Row) -> str:
     """Return the name in the file of a robot; that of the file where it can no longer be read."""
     try:

@@ -58,14 +58,27 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
         _draw_block(axes, block, looks, names.get(block.robot, short_name(block.robot)))
     for axes in panels[len(shown) :]:
         axes.remove()
-    set_title(
-        figure,
-        "Error over the baseline's, 95 % interval;",
-        f"full: p ≤ {SIGNIFICANCE_LEVEL:g} (Holm); right: cases won",
-    )
+    set_title(figure, *_explanation([pair for block in shown for _, _, pair in _rows(block)]))
     drawn = dict.fromkeys(label for block in shown for _, label, _ in _rows(block))
     put_points(figure, {label: looks[label] for label in drawn})
     return figure
+
+
+def _explanation(pairs: Sequence[Pair]) -> tuple[str, str]:
+    """Say what is drawn: intervals and full marks only where there are any."""
+    ratios = [pair.ratio for pair in pairs if pair.ratio is not None]
+    has_interval = any(one.low is not None for one in ratios)
+    interval = "95 % interval" if has_interval else "no interval (too few seeds)"
+    sure = "full: p ≤ {:g} (Holm)" if any(map(_is_sure, pairs)) else "no p ≤ {:g}"
+    return (
+        "Error over the baseline's; right: cases won",
+        f"{interval}; {sure.format(SIGNIFICANCE_LEVEL)}",
+    )
+
+
+def _is_sure(pair: Pair) -> bool:
+    """Return whether a comparison is significant, which a full mark shows."""
+    return pair.p_holm is not None and pair.p_holm <= SIGNIFICANCE_LEVEL
 
 
 def _draw_block(axes: Any, block: PairedBlock, looks: Mapping[str, Series], robot: str) -> None:
@@ -77,8 +90,8 @@ def _draw_block(axes: Any, block: PairedBlock, looks: Mapping[str, Series], robo
         one, color, marker = pair.ratio, looks[label].color, looks[label].marker
         if one.low is not None and one.high is not None:
             axes.plot([one.low, one.high], [place, place], color=color, lw=1.6)
-        sure = pair.p_holm is not None and pair.p_holm <= SIGNIFICANCE_LEVEL
-        axes.plot(one.value, place, marker, color=color, mfc=color if sure else "white", ms=5)
+        face = color if _is_sure(pair) else "white"
+        axes.plot(one.value, place, marker, color=color, mfc=face, ms=5)
         axes.annotate(
             f"{pair.won}/{pair.cases}", (1.0, place), xycoords=axes.get_yaxis_transform(),
             xytext=(4, 0), textcoords="offset points", va="center", fontsize=7,

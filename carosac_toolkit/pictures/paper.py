@@ -19,7 +19,13 @@ from carosac_toolkit.pictures.drawing import (
     put_marks,
     set_title,
 )
-from carosac_toolkit.pictures.groups import Group, groups_of, looks_of, robots_title
+from carosac_toolkit.pictures.groups import (
+    Group,
+    cable_names,
+    groups_of,
+    looks_of,
+    robots_title,
+)
 from carosac_toolkit.pictures.paper_figure import Drawn, FigureSource, PaperFigure, of_kind
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, Series, styled
 from carosac_toolkit.pictures.units import unit_of
@@ -74,7 +80,8 @@ def draw_commanded(results: StudyResults) -> Figure:
             values.ravel(), bins=bins, histtype="step", density=True, color=look.color,
             ls=look.line, lw=1.2,
         )  # fmt: skip
-    each.set_xticks(range(cables), [f"cable {k + 1}" for k in range(cables)])
+    names = cable_names(results, cables)
+    each.set_xticks(range(cables), names, rotation=35 if cables > 4 else 0)
     each.set_ylabel(f"measured minus commanded length [{unit}]")
     each.set_title("per cable; marker: mean")
     everything.set(xlabel=f"measured minus commanded length [{unit}]", ylabel=f"density [1/{unit}]")

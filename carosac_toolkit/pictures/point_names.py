@@ -22,6 +22,8 @@ DIRECTIONS = (  # in which a name may be, with its alignment, the first choice f
 )  # fmt: skip
 LINE_DISTANCE_POINTS = 14.0  # [points] from which a line leads from a point to its name
 ROOM_PIXELS = 2.0  # [pixels] around a name that are kept free
+COVERED_TEXT_POINTS = 1000  # points of curves that are better covered than another text
+LABEL_ROOM_PIXELS = 6.0  # [pixels] around the label of an axis that are kept free
 
 
 def name_points(axes: Any, names: Sequence[tuple[str, Array]], drawn: Iterable[Array]) -> None:
@@ -40,9 +42,11 @@ def name_points(axes: Any, names: Sequence[tuple[str, Array]], drawn: Iterable[A
     figure = axes.figure
     figure.draw_without_rendering()  # places of panels and ticks are known from here on
     renderer = figure.canvas.get_renderer()
-    obstacles = [np.array(proj_transform(*curve.T, axes.get_proj())[:2]).T for curve in drawn]
+    curves = [*drawn, *_axis_lines(axes)]
+    obstacles = [np.array(proj_transform(*curve.T, axes.get_proj())[:2]).T for curve in curves]
     pixels = axes.transData.transform(np.vstack(obstacles))
     taken = [box for axis in (axes.xaxis, axes.yaxis, axes.zaxis) for box in _boxes(axis, renderer)]
+    taken += [text.get_window_extent(renderer).padded(LABEL_ROOM_PIXELS) for text in axes.texts]
     for text, point in names:
         place = np.array(proj_transform(*point, axes.get_proj())[:2])
         name = axes.annotate(
@@ -51,6 +55,19 @@ def name_points(axes: Any, names: Sequence[tuple[str, Array]], drawn: Iterable[A
         )  # fmt: skip
         name.set_in_layout(False)
         taken.append(_put(name, renderer, pixels, taken))
+
+
+def _axis_lines(axes: Any) -> list[Array]:
+    """Return points on the three axes that are drawn [m], each of shape (K, 3)."""
+    left, right = axes.get_xlim()
+    front, back = axes.get_ylim()
+    low, high = axes.get_zlim()
+    near, corner = np.array([right, front, low]), np.array([right, back, low])
+    return [
+        dense(np.array([left, front, low]), near),
+        dense(near, corner),
+        dense(corner, np.array([right, back, high])),
+    ]
 
 
 def _boxes(axis: Any, renderer: Any) -> list[Bbox]:
@@ -68,8 +85,9 @@ def _put(name: Annotation, renderer: Any, pixels: Array, taken: Sequence[Bbox]) 
     for distance, (direction, across, up) in product(DISTANCES_POINTS, DIRECTIONS):
         offset = tuple(distance * step for step in direction)
         name.set(position=offset, ha=across, va=up)
+        name.update_positions(renderer)  # until then offsets are relative to the figure's corner
         box = Text.get_window_extent(name, renderer).padded(ROOM_PIXELS)
-        covered = sum(box.overlaps(other) for other in taken)
+        covered = COVERED_TEXT_POINTS * sum(box.overlaps(other) for other in taken)
         covered += int(box.x0 < 0 or box.x1 > figure.bbox.x1)
         inside = ((pixels > box.min) & (pixels < box.max)).all(axis=1)
         covered += int(inside.sum())

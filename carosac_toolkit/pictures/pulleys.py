@@ -32,13 +32,14 @@ class CableDrawing:
     free: Array
 
 
-def draw_cables(report: RobotReport, smallest: float) -> list[CableDrawing]:
+def draw_cables(report: RobotReport, smallest: float, ends: Array) -> list[CableDrawing]:
     """Compute the curves of each cable and its pulley.
 
     Args:
         report: The robot at home.
         smallest: Smaller pulleys are drawn with this radius [m], so that they can be seen. Their
             datum stays, and cables still leave at a tangent.
+        ends: Drawn anchor points, at which the drawn cables end, in W [m], shape (n, 3).
 
     Returns:
         One drawing per cable.
@@ -48,24 +49,27 @@ def draw_cables(report: RobotReport, smallest: float) -> list[CableDrawing]:
     robot = report.robot
     pulley = robot.pulley_radius > 0.0
     radius = np.where(pulley, np.maximum(robot.pulley_radius, smallest), 0.0)
-    drawn = replace(robot, pulley_radius=radius)
     position = report.equilibrium.position if report.equilibrium.converged[0] else None
     place = robot.home_position[None] if position is None else position
+    anchors = (ends - place) @ report.rotation
+    drawn = replace(robot, pulley_radius=radius, anchor_points=anchors)
     wrap = straight_length(drawn, place, report.rotation[None]).wrap[0]
-    same = radius == robot.pulley_radius
+    same = (radius == robot.pulley_radius) & np.isclose(ends, report.shape[:, -1]).all(axis=1)
     angle = np.where(same, report.wrap, wrap)
+    share = np.linspace(0.0, 1.0, report.shape.shape[1])[:, None]
+    hanging = report.shape + share * (ends - report.shape[:, -1])[:, None]
     return [
-        _drawing(report, i, float(radius[i]), float(angle[i]))
+        _drawing(report, i, hanging[i], float(radius[i]), float(angle[i]))
         if pulley[i]
-        else CableDrawing(wheel=np.empty((0, 3)), incoming=np.empty((0, 3)), free=report.shape[i])
+        else CableDrawing(wheel=np.empty((0, 3)), incoming=np.empty((0, 3)), free=hanging[i])
         for i in range(robot.n)
     ]
 
 
-def _drawing(report: RobotReport, i: int, radius: float, wrap: float) -> CableDrawing:
+def _drawing(report: RobotReport, i: int, free: Array, radius: float, wrap: float) -> CableDrawing:
     """Draw one pulley with a radius; the cable is moved to the tangent point on it."""
     robot = report.robot
-    datum, axis, free = robot.exit_points[i], robot.swivel_axis[i], report.shape[i]
+    datum, axis = robot.exit_points[i], robot.swivel_axis[i]
     relative = free[-1] - datum
     outward = relative - (relative @ axis) * axis
     length = float(np.linalg.norm(outward))

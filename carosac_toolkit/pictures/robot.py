@@ -39,7 +39,8 @@ DRAWN_PULLEY_RADIUS_MIN = 0.012  # of the largest extent: smaller pulleys are dr
 def draw_robot(report: RobotReport) -> Figure:
     """Draw frame, cables as they hang, platform, workspace box and home position.
 
-    A platform that would be too small to see is drawn larger; the legend says how many times.
+    A platform that would be too small to see is drawn larger, with cables that end at the drawn
+    anchor points; the legend says how many times.
 
     Args:
         report: The robot and how it hangs at home.
@@ -52,8 +53,8 @@ def draw_robot(report: RobotReport) -> Figure:
     space = figure.add_subplot(grid[:, 0], projection="3d")
     extent = _limits(report, [report.shape.reshape(-1, 3)])
     smallest = DRAWN_PULLEY_RADIUS_MIN * float((extent[:, 1] - extent[:, 0]).max())
-    cables = draw_cables(report, smallest)
     corners = _platform(report, platform_factor(report.robot, extent))
+    cables = draw_cables(report, smallest, corners)
     limits = _limits(report, [corners, *(np.vstack([c.free, c.wheel, c.incoming]) for c in cables)])
     _draw_space(space, report, cables, limits)
     _draw_platform(space, report, corners, platform_factor(report.robot, extent))
@@ -230,7 +231,7 @@ def _draw_plane(
     axes.plot(*anchors.T, ".", color=PLATFORM_COLOR, ms=3)
     axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=2.0 if pulleys else 3)
     axes.plot(*robot.home_position[columns], "+", color="black", ms=6)
-    title = "from above" if pair == (0, 1) else "along x"
+    title = "from above" if pair == (0, 1) else "from the side, along -x"
     set_plane(axes, pair, title, xlim=limits[pair[0]], ylim=limits[pair[1]])
 
 

@@ -16,7 +16,7 @@ from carosac_toolkit.pictures.drawing import (
 )
 from carosac_toolkit.pictures.point_names import dense, name_points
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
-from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, styled
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, SINGLE_COLUMN_INCH, styled
 from carosac_toolkit.pictures.workspace_limits import (
     BOX_FACE_COLOR,
     FRAME_COLOR,
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 SIDE_BY_SIDE_ASPECT_MAX = 4.0  # sum of width over height of slices up to which they fit in a row
 PANEL_ROOM_RATIO = 0.03  # of the longer side of a slice, around it
 PANEL_HEIGHT_MAX_INCH = 3.0  # [inch] of the drawn part of a slice
+CONSTANT_RATIO = 1e-3  # of a mapped value: a map that varies less is written, not drawn
+CONSTANT_SIZE_MIN = 1e-3  # in units of the map: smaller values than this times the ratio are zero
 MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
     ("tilt", "tilt [deg]", 180.0 / np.pi),
@@ -51,7 +53,8 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
     """Draw slices: the margin of the tensions, and beside it the limit that decides.
 
     Each slice has a scale of its own and fills its panel. Slices stand side by side, margin above
-    limit, or below each other if together they are too wide for that.
+    limit, or below each other if together they are too wide for that. Where no limit excludes any
+    position, only margins are drawn.
 
     Args:
         regions: Verdicts on planes; see `slice_grid`.
@@ -62,47 +65,54 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
     figure, margins, limits = _slice_panels(planes, len(by_words(shown)))
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
         image = _draw_margin(margins[k], region, plane, scale)
-        _draw_limits(limits[k], region, plane, shown)
         margins[k].set_title(f"{plane.title}\n{region.share:.1%} inside")
+    for axes, region, plane in zip(limits, regions, planes, strict=False):
+        _draw_limits(axes, region, plane, shown)
     label = "margin of the tensions [N]"
-    panels = [*margins, *limits]
-    figure.colorbar(
-        image, ax=panels, label=label, extend="both", fraction=0.06, pad=0.02, aspect=40
-    )
+    flat = not shown and not _below_each_other(planes)
+    bar = figure.colorbar(
+        image, ax=[*margins, *limits], label=label, fraction=0.06, pad=0.02,
+        aspect=20 if flat else 40, extend="both" if shown else "neither",
+    )  # fmt: skip
+    if not shown:
+        bar.ax.set_ylim(0.0, scale.vmax)
     exits = any(plane.shows(regions[0].robot.exit_points) for plane in planes)
     limit_legend(figure, regions[0], shown, exits=exits)
     first, second = ("left", "right") if _below_each_other(planes) else ("above", "below")
-    set_title(
-        figure,
-        _title(regions[0]),
-        f"{first}: margin of the tensions; {second}: deciding limit; black line: workspace's end",
+    explained = (
+        f"{first}: margin of the tensions; {second}: deciding limit; black line: workspace's end"
+        if shown
+        else "margin of the tensions; no limit excludes any position"
     )
+    set_title(figure, _title(regions[0]), explained)
     return figure
 
 
 def _slice_panels(planes: Sequence[_Plane], entries: int) -> tuple[Figure, list[Any], list[Any]]:
-    """Make a figure with two panels for each slice, each as wide to high as its slice.
+    """Make a figure with panels for each slice, each as wide to high as its slice.
 
     Args:
         planes: The slices.
-        entries: Number of kinds of limits in the legend.
+        entries: Number of kinds of limits in the legend; without any there are no panels for them.
 
     Returns:
         The figure, and the panels of margins and of limits.
     """
     aspects = [plane.aspect for plane in planes]
     below = 0.8 + 0.16 * (entries + 2 if entries else 1)  # [inch] of title and legend
+    kinds = 2 if entries else 1
     if _below_each_other(planes):
-        width = 0.5 * (DOUBLE_COLUMN_INCH - 2.0)
+        total = DOUBLE_COLUMN_INCH if entries else SINGLE_COLUMN_INCH
+        width = (total - 1.0 * kinds) / kinds
         heights = [width / aspect for aspect in aspects]
-        figure = new_figure(DOUBLE_COLUMN_INCH, below + sum(heights) + 0.7 * len(planes))
-        panels = figure.subplots(len(planes), 2, squeeze=False, height_ratios=heights)
-        return figure, list(panels[:, 0]), list(panels[:, 1])
+        figure = new_figure(total, below + sum(heights) + 0.7 * len(planes))
+        panels = figure.subplots(len(planes), kinds, squeeze=False, height_ratios=heights)
+        return figure, list(panels[:, 0]), list(panels[:, 1:].ravel())
     room = DOUBLE_COLUMN_INCH - 0.9 - 0.55 * len(planes)
     height = min(room / sum(aspects), PANEL_HEIGHT_MAX_INCH)
-    figure = new_figure(DOUBLE_COLUMN_INCH, below + 2.0 * (height + 0.5))
-    panels = figure.subplots(2, len(planes), squeeze=False, width_ratios=aspects)
-    return figure, list(panels[0]), list(panels[1])
+    figure = new_figure(DOUBLE_COLUMN_INCH, below + kinds * (height + 0.5))
+    panels = figure.subplots(kinds, len(planes), squeeze=False, width_ratios=aspects)
+    return figure, list(panels[0]), list(panels[1:].ravel())
 
 
 def _below_each_other(planes: Sequence[_Plane]) -> bool:
@@ -119,37 +129,58 @@ def _title(region: Region) -> str:
 def draw_maps(region: Region, found: Maps) -> Figure:
     """Draw margin, tilt, stiffness, frequency, sag and cable distance on one slice.
 
+    A quantity that is the same everywhere inside is not drawn; the title has its value.
+
     Args:
         region: Verdicts on a plane.
         found: Their maps.
     """
     plane = _Plane(region)
-    wide = plane.width > 1.4 * plane.height
-    rows, across = (3, 2) if wide else (2, 3)
-    width = DOUBLE_COLUMN_INCH / across - 1.1  # [inch] of a panel without its labels
-    height = min(width * plane.height / plane.width, PANEL_HEIGHT_MAX_INCH)
-    figure = new_figure(DOUBLE_COLUMN_INCH, rows * (height + 0.5) + 0.4)
-    panels = figure.subplots(rows, across).ravel()
-    for axes, (name, label, factor) in zip(panels, MAPPED_QUANTITIES, strict=True):
+    values: dict[str, Array] = {}
+    for name, _, factor in MAPPED_QUANTITIES:
         record: Any = region.verdicts if name in ("margin", "distance") else found
-        values = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
-        mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
-        figure.colorbar(mesh, ax=axes, label=label, shrink=0.9)
+        values[name] = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
+    constants = {name: _constant(of_all) for name, of_all in values.items()}
+    mapped = [(name, label) for name, label, _ in MAPPED_QUANTITIES if constants[name] is None]
+    columns = min(2 if plane.width > 1.4 * plane.height else 3, max(1, len(mapped)))
+    rows = -(-len(mapped) // columns)
+    width = DOUBLE_COLUMN_INCH / max(2, columns) - 1.1  # [inch] of a panel without its labels
+    height = min(width * plane.height / plane.width, PANEL_HEIGHT_MAX_INCH)
+    figure = new_figure(DOUBLE_COLUMN_INCH, rows * (height + 0.65) + 0.5)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel() if mapped else ()
+    for axes, (name, label) in zip(panels, mapped, strict=False):
+        mesh = plane.fill(axes, values[name], cmap="viridis", norm=_norm(name, values[name]))
+        figure.colorbar(mesh, ax=axes, shrink=0.9)
         _set_plane(axes, region, plane)
-    set_title(figure, f"{_title(region)}, {plane.title}; white: outside")
+        axes.set_title(label)
+    for axes in panels[len(mapped) :]:
+        axes.remove()
+    same = [
+        label.replace(" [", f" {constants[name]:.3g} ").rstrip("]")
+        for name, label, _ in MAPPED_QUANTITIES
+        if constants[name] is not None
+    ]
+    everywhere = f"the same everywhere: {', '.join(same)}" if same else ""
+    set_title(figure, f"{_title(region)}, {plane.title}; white: outside", everywhere)
     return figure
 
 
+def _constant(values: Array) -> float | None:
+    """Return the value of a map that is the same everywhere inside; None for other maps."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    rounding = CONSTANT_RATIO * max(abs(low), abs(high), CONSTANT_SIZE_MIN)
+    return 0.5 * (low + high) if high - low <= rounding else None
+
+
 def _norm(name: str, values: Array) -> Any:
-    """Return the colour scale of a map: logarithmic for stiffness, never finer than rounding."""
+    """Return the colour scale of a map: logarithmic for stiffness."""
     from matplotlib.colors import LogNorm, Normalize
 
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if name == "stiffness" and low > 0.0 and high > 10.0 * low:
         return LogNorm(low, high)
-    if high - low < 1e-6 * max(abs(high), 1e-3):
-        low, high = 0.9 * low, 1.1 * max(high, 1e-3)
     return Normalize(low, high)
 
 

@@ -63,14 +63,17 @@ def limit_legend(
         figure: The figure.
         region: Verdicts whose robot it is.
         shown: Colour of each limit and cable.
-        box: True if faces of the box are drawn, False if positions inside are.
+        box: True if faces of the box are drawn, False if positions inside are, which is so where
+            any limit is shown.
         exits: True if exit points are drawn.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     first = (BOX_FACE_COLOR, "face of the box") if box else (INSIDE_COLOR, "inside")
-    marks: list[tuple[Any, str]] = [(Patch(facecolor=first[0]), first[1])]
+    marks: list[tuple[Any, str]] = []
+    if box or shown:
+        marks.append((Patch(facecolor=first[0]), first[1]))
     for words, keys in by_words(shown).items():
         hatch = HATCHES.get(Limit(keys[0][0]))
         patches = Shades(Patch(facecolor=shown[key], hatch=hatch, lw=0) for key in keys)

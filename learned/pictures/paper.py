@@ -70,8 +70,12 @@ def _trained(sources: Sequence[FigureSource]) -> list[Drawn]:
 
 
 def _rewards(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """Return the figure of the reward functions, which needs no data."""
-    return [Drawn(figure=_made(paper_reward_terms))]
+    """Return the figure of the reward functions: it needs no data, but belongs to trainings.
+
+    It is drawn beside them, and where no folder is named at all.
+    """
+    trainings = of_kind(sources, "training")
+    return [Drawn(figure=_made(paper_reward_terms))] if trainings or not sources else []
 
 
 FIGURES = (
@@ -80,7 +84,7 @@ FIGURES = (
         what="reward of each episode, raw and smoothed, of each stage",
     ),
     PaperFigure(
-        place=6, name="reward_terms", command="", draw=_rewards,
+        place=6, name="reward_terms", command=TRAIN_COMMAND, draw=_rewards,
         what="terms of the reward against their variables",
     ),
     PaperFigure(

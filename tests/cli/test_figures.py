@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 from carosac_toolkit.cli.figures import all_figures
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.pictures.paper import length_errors
+from carosac_toolkit.pictures.paper import draw_commanded, length_errors
 from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.folder import opened
@@ -94,7 +94,8 @@ def test_every_figure_of_the_paper_is_drawn_from_one_folder_above_all(folders, t
     words = ["figures", str(folders), "--output", str(out), "--formats", "png", "svg"]
     assert main([*words, "--json", str(numbers)]) == 0
     data = json.loads(numbers.read_text())
-    assert data["skipped"] == [] and "0 skipped" in capsys.readouterr().out
+    assert data["skipped"] == []
+    assert "none skipped" in " ".join(capsys.readouterr().out.split())
     names = [one["name"] for one in data["figures"]]
     assert names == sorted(names) and len(names) == len(all_figures()) + 1  # two stages
     assert sorted(path.name for path in out.glob("[!.]*")) == sorted(
@@ -121,14 +122,39 @@ def test_the_style_of_papers_has_serif_letters_in_all_formats(folders, tmp_path,
     assert {path.suffix for path in out.glob("[!.]*")} == {".png", ".svg", ".pdf"}
 
 
-def test_what_is_missing_is_named_with_the_command_that_makes_it(tmp_path, capsys):
+def test_one_line_names_the_commands_that_make_what_is_missing(tmp_path, capsys):
     study_in(tmp_path / "a", ["straight_line"])
-    assert main(["figures", str(tmp_path / "a"), "--output", str(tmp_path / "f")]) == 0
+    numbers = tmp_path / "x.json"
+    words = ["figures", str(tmp_path / "a"), "--output", str(tmp_path / "f")]
+    assert main([*words, "--json", str(numbers)]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "skipped error_histograms" in out and "made by carosac evaluate POLICY" in out
-    assert "skipped rmse_gaussians" in out and "--controllers kinematic_solver td3" in out
-    assert "skipped simulated_and_real_path" in out and "carosac validate RECORDING" in out
-    assert "skipped reward (" in out and "carosac train" in out
+    assert "2 figures in" in out and out.count("skipped") == 1
+    assert "9 skipped, whose data comes from carosac compare, evaluate, train, validate" in out
+    data = json.loads(numbers.read_text())
+    commands = {one["name"]: one["command"] for one in data["skipped"]}
+    assert commands["error_histograms"].startswith("carosac evaluate POLICY")
+    assert "--controllers kinematic_solver td3" in commands["rmse_gaussians"]
+    assert commands["simulated_and_real_path"].startswith("carosac validate RECORDING")
+    assert commands["reward"].startswith("carosac train")
+
+
+def test_the_terms_of_the_reward_are_drawn_beside_trainings_or_alone(folders, tmp_path):
+    def drawn(*sources):
+        numbers = tmp_path / "x.json"
+        words = ["figures", *map(str, sources), "--output", str(tmp_path / "f")]
+        main([*words, "--formats", "png", "--json", str(numbers)])
+        return {one["name"][3:] for one in json.loads(numbers.read_text())["figures"]}
+
+    assert "reward_terms" not in drawn(folders / "compare")
+    assert "reward_terms" in drawn(folders / "train")
+    assert drawn() == {"reward_terms"}
+
+
+def test_the_length_error_has_the_names_of_the_cables(tmp_path):
+    results = study(study_in(tmp_path / "a", ["straight_line"]))
+    axes = draw_commanded(results).axes[0]
+    names = [label.get_text() for label in axes.get_xticklabels()]
+    assert names == list(load_robot("carosac").cable_names)
 
 
 @pytest.mark.parametrize(

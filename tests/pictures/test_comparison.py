@@ -5,9 +5,13 @@ import pytest
 from matplotlib.colors import to_hex
 
 from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+from carosac_toolkit.pictures.groups import robot_names
+from carosac_toolkit.pictures.paired import draw_paired
 from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.example_cases import examples_of
+from carosac_toolkit.studies.compare.paired import paired_blocks
+from tests.pictures.layout import cut_texts, laid_out, overlapping_texts
 from tests.studies.tables import bad, case, diverged, good, series, study
 
 SCALES = {"first": 0.05, "second": 0.01}
@@ -111,6 +115,54 @@ def test_marks_of_regions_are_as_high_as_the_table_says(results):
     line = results.summary[0]
     expected = [1e3 * line["tracking_centre_m"], 1e3 * line["tracking_boundary_m"]]
     assert drawn == pytest.approx(expected)
+
+
+def test_a_region_without_a_case_has_no_place_and_no_mark_is_cut():
+    rows = [good(case(name, seed), (scale, scale, scale)) for name, scale in SCALES.items()
+            for seed in range(2)]  # fmt: skip
+    for row in rows:
+        row["tracking_boundary_m"], row["centre_steps"] = None, row["steps"]
+    figure = COMPARISON_PICTURES["regions"](study(rows))
+    axes = laid_out(figure).axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["centre"]
+    assert "no path came to the boundary" in figure.get_suptitle().replace("\n", " ")
+    for line in axes.lines:
+        mark = line.get_transform().transform(line.get_xydata())
+        half = line.get_markersize() / 72.0 * figure.dpi / 2.0
+        assert (mark[:, 1] + half < axes.bbox.y1).all() and (mark[:, 1] > axes.bbox.y0).all()
+
+
+def test_many_paths_have_panels_of_their_own():
+    rows = [
+        good(case(f"controller_{k}"), (0.01, 0.01, 0.01), series=series(0.001 * (1 + k)))
+        for k in range(8)
+    ]
+    figure = laid_out(COMPARISON_PICTURES["paths"](study(rows)))
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert titles == [f"controller_{k}" for k in range(8)]
+    assert len(figure.axes) == 16
+    for axes in figure.axes:
+        assert len(axes.lines) == 2  # the reference and one path
+    assert overlapping_texts(figure) == [] == cut_texts(figure)
+
+
+def test_estimation_names_estimators_without_counting_failures_of_controllers():
+    rows = [good(case("first"), (0.01, 0.01, 0.01), series=series(0.02))]
+    rows.append(diverged(case("second"), 4.0))
+    assert not any(
+        "diverged" in name for name in legend(COMPARISON_PICTURES["estimation"](study(rows)))
+    )
+
+
+@pytest.mark.parametrize(("seeds", "said"), [(2, "no interval"), (8, "95 % interval")])
+def test_the_title_promises_intervals_only_where_there_are_any(seeds, said):
+    rows = [good(case(name, seed), (scale * (1 + 0.1 * seed),) * 3)
+            for name, scale in SCALES.items() for seed in range(seeds)]  # fmt: skip
+    results = study(rows)
+    figure = draw_paired(paired_blocks(results), robot_names(results))
+    assert said in figure.get_suptitle()
+    intervals = [line for axes in figure.axes for line in axes.lines if line.get_linewidth() == 1.6]
+    assert bool(intervals) == (said == "95 % interval")
 
 
 def test_estimation_compares_estimators_and_not_controllers():

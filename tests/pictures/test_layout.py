@@ -67,6 +67,14 @@ def test_no_text_is_cut_off(figures):
     assert {k: found for k, f in figures.items() if (found := cut_texts(f))} == {}
 
 
+def test_no_legend_touches_the_edge_of_its_figure(figures):
+    for name, figure in figures.items():
+        for legend in figure.legends:
+            box, whole = legend.get_window_extent(), figure.bbox
+            room = min(box.x0 - whole.x0, whole.x1 - box.x1)
+            assert room > 0.02 * whole.width, name
+
+
 def test_every_picture_is_as_wide_as_one_or_two_columns(figures):
     widths = {name: figure.get_size_inches()[0] for name, figure in figures.items()}
     assert set(widths.values()) <= {SINGLE_COLUMN_INCH, DOUBLE_COLUMN_INCH}

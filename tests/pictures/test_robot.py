@@ -2,11 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from carosac_toolkit.inspection.report import report_robot
+from carosac_toolkit.pictures.point_names import DISTANCES_POINTS
 from carosac_toolkit.pictures.robot import draw_robot
+from tests.pictures.layout import laid_out, texts_of
 
 
 @pytest.mark.parametrize("name", ["carosac", "cogiro"])
@@ -14,15 +18,47 @@ def test_axes_have_units_and_names_are_written(name):
     report = report_robot(ct.load_robot(name))
     figure = draw_robot(report)
     space, *planes = figure.axes
-    assert [space.get_xlabel(), space.get_ylabel(), space.get_zlabel()] == [
-        "x [m]",
-        "y [m]",
-        "z [m]",
-    ]
+    upright, *names = [text.get_text() for text in space.texts]
+    assert [space.get_xlabel(), space.get_ylabel(), upright] == ["x [m]", "y [m]", "z [m]"]
     assert all(plane.get_xlabel().endswith("[m]") for plane in planes)
     assert len(planes) == 2
-    written = ", ".join(text.get_text() for text in space.texts)
-    assert written.split(", ") == list(report.robot.cable_names)
+    assert ", ".join(names).split(", ") == list(report.robot.cable_names)
+
+
+@pytest.mark.parametrize("name", ["carosac", "stadium", "ipanema1"])
+def test_names_and_the_upright_label_are_near_their_marks_and_cover_nothing(name):
+    report = report_robot(ct.load_robot(name))
+    figure = laid_out(draw_robot(report))
+    space = figure.axes[0]
+    texts = {text: box for text, box in texts_of(figure) if isinstance(text, Annotation)}
+    assert len(texts) == 1 + report.robot.n
+    drawn = space.transData.transform(projected(space, report.shape.reshape(-1, 3)))
+    for text, box in texts.items():
+        mark = space.transData.transform(text.xy)
+        away = np.maximum(box.min - mark, mark - box.max).clip(min=0.0)
+        assert np.hypot(*away) < 1.5 * DISTANCES_POINTS[-1] * figure.dpi / 72.0, text.get_text()
+        inside = ((drawn > box.min) & (drawn < box.max)).all(axis=1)
+        assert not inside.any(), text.get_text()
+
+
+def projected(axes, points):
+    """Points of a view in three dimensions in its plane."""
+    return np.column_stack(proj_transform(*points.T, axes.get_proj())[:2])
+
+
+@pytest.mark.parametrize("name", ["stadium", "ipanema1"])
+def test_cables_end_at_the_drawn_anchors_of_a_platform_drawn_larger(name):
+    report = report_robot(ct.load_robot(name))
+    space = draw_robot(report).axes[0]
+    anchors = next(
+        np.array(marks._offsets3d).T
+        for marks in space.collections
+        if str(marks.get_label()).startswith("anchor points")
+    )
+    points = report.shape.shape[1]
+    cables = [line for line in space.lines if len(line.get_data_3d()[0]) == points]
+    ends = np.array([[coordinate[-1] for coordinate in line.get_data_3d()] for line in cables])
+    assert ends == pytest.approx(anchors)
 
 
 def test_everything_drawn_is_inside_the_axes():

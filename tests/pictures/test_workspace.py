@@ -1,10 +1,12 @@
 """Pictures of a workspace: filled panels, limits told apart, and names beside their points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, SINGLE_COLUMN_INCH
 from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space, volume_text
 from carosac_toolkit.pictures.workspace_limits import COLOR_SCALES, HATCHES
 from carosac_toolkit.robot.file import load_robot
@@ -34,7 +36,7 @@ def drawn(request):
 def test_no_text_is_covered_or_cut_off(drawn):
     for name, figure in drawn.items():
         assert overlapping_texts(figure) == [] == cut_texts(figure), name
-        assert figure.get_size_inches()[0] == DOUBLE_COLUMN_INCH
+        assert figure.get_size_inches()[0] in (SINGLE_COLUMN_INCH, DOUBLE_COLUMN_INCH)
 
 
 def test_slices_fill_their_panels_and_panels_their_rows(drawn):
@@ -48,11 +50,37 @@ def test_slices_fill_their_panels_and_panels_their_rows(drawn):
     assert spread.min() < 0.03  # side by side all are as high, below each other all as wide
 
 
+def test_slices_without_a_limit_show_margins_alone():
+    _, slices = regions_of("stadium", "workspace")
+    assert all(region.verdicts.inside.all() for region in slices)
+    figure = draw_slices(slices)
+    panels = [axes for axes in figure.axes if axes.get_xlabel()]
+    bar = figure.axes[-1]
+    assert len(panels) == len(slices)
+    assert bar.get_ylim()[0] == 0.0  # no colour of a margin that nothing has
+    assert "no limit excludes any position" in figure.get_suptitle().replace("\n", " ")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["box of the robot file"]
+
+
+def test_a_quantity_that_is_the_same_everywhere_is_written_and_not_drawn():
+    _, slices = regions_of("cogiro", "workspace")  # its orientation is held
+    region = slices[2]
+    found = maps(region.robot, region.verdicts, settings=region.settings)
+    distance = np.full_like(region.verdicts.distance, 0.25)
+    verdicts = replace(region.verdicts, distance=distance)
+    figure = draw_maps(replace(region, verdicts=verdicts), found)
+    titles = {axes.get_title() for axes in figure.axes} - {""}
+    assert titles == {
+        "margin [N]", "least stiffness [N/m]", "lowest frequency [Hz]", "largest sag [mm]",
+    }  # fmt: skip
+    assert "tilt 0 deg, least cable distance 0.25 m" in figure.get_suptitle()
+
+
 def test_names_of_exit_points_are_beside_their_marks(drawn):
     figure = drawn["space"]
     axes, renderer = figure.axes[0], figure.canvas.get_renderer()
-    names = [text for text in axes.texts if isinstance(text, Annotation)]
-    assert len(names) == 4
+    upright, *names = [text for text in axes.texts if isinstance(text, Annotation)]
+    assert upright.get_text() == "z [m]" and len(names) == 4
     marks = axes.transData.transform([name.xy for name in names])
     for name in names:
         box = super(Annotation, name).get_window_extent(renderer)
