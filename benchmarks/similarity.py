@@ -102,7 +102,7 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
     period = PERIOD_S * ratios.time
     sensors = SensorSettings(
         **{
-            name: getattr(SensorSettings(), name) * ratios.of_unit(unit)
+            name: float(getattr(SensorSettings(), name)) * ratios.of_unit(unit)
             for name, unit in SENSOR_UNITS.items()
         }
     )
@@ -136,7 +136,7 @@ def told_of_sensors(estimator: str, ratios: Ratios) -> dict[str, float]:
     """Return the settings of an estimator that describe the scaled sensors."""
     told = TOLD_OF_SENSORS.get(estimator, {})
     usual = plugins.load("estimators", estimator).Settings() if told else None
-    return {name: getattr(usual, name) * ratios.of_unit(unit) for name, unit in told.items()}
+    return {name: float(getattr(usual, name)) * ratios.of_unit(unit) for name, unit in told.items()}
 
 
 def dimensionless(scores: Mapping[str, Any], world: World) -> dict[str, float | None]:

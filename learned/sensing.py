@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.protocols import Estimator
 from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
@@ -49,7 +51,8 @@ class Sensing:
         self.count = count
         self._beliefs: list[Belief | None] = [None] * count
         self._plant = SimPlant.around(simulator)
-        self._sensors = SensorSuite(suite, SensorSettings(), self._plant, seed)
+        sensors = resolved(SensorSettings(), Scales(robot).ratios)
+        self._sensors = SensorSuite(suite, sensors, self._plant, seed)
         self._estimator: Estimator = plugins.load("estimators", estimator).build(robot)
         self._tried = False
         self._now = 0.0

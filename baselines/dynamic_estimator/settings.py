@@ -20,9 +20,9 @@ class DynamicEstimatorSettings:
     """Settings of `DynamicEstimator`; one standard deviation where something is random.
 
     The defaults are those of the condition ``nominal-1`` and its sensors, for the robot
-    ``carosac``. Those that describe a sensor are the same for every robot: noise and bias of
-    encoders, IMU and poses. All others that have a unit scale with the robot. 0 takes a quantity
-    as known.
+    ``carosac``. Those of the IMU are the same for every robot. Noise and bias of encoders, load
+    cells and poses are as in `SensorSettings`: smaller on smaller robots, not larger on larger
+    ones. All others that have a unit scale with the robot. 0 takes a quantity as known.
 
     Attributes:
         mass: Logarithm of the platform's mass over that of the robot file.
@@ -79,11 +79,11 @@ class DynamicEstimatorSettings:
 
     mass: float = 0.03
     center_of_mass: float = Scaled(0.01, "m")
-    encoder_bias: float = 5e-3
+    encoder_bias: float = Scaled(5e-3, "m", most=5e-3)
     exit_error: float = Scaled(4.898979485566357e-3, "m")  # 7 mm with the bias
     length_bias: float | None = None
     length_bias_walk: float = Scaled(1e-3, "m/sqrt(s)")
-    encoder_noise: float = 0.2e-3
+    encoder_noise: float = Scaled(0.2e-3, "m", most=0.2e-3)
     stretch_vibration: float = Scaled(5.656854249492379e-4, "m")  # 0.6 mm with the noise
     stretch_noise: float | None = None
     rate_noise: float = Scaled(0.02, "m/s")
@@ -102,10 +102,10 @@ class DynamicEstimatorSettings:
     imu_position: Mount = (0.0, 0.0, 0.0)
     imu_rotation: Mount = (0.0, 0.0, 0.0)
     load_cells: bool = False
-    load_cell_noise: float = 0.5
-    load_cell_bias: float = 1.0
+    load_cell_noise: float = Scaled(0.5, "N", most=0.5)
+    load_cell_bias: float = Scaled(1.0, "N", most=1.0)
     tension_vibration: float = 0.05
-    position_noise: float = 1e-3
+    position_noise: float = Scaled(1e-3, "m", most=1e-3)
     rotation_noise: float = 0.5e-3
     gate: float = 6.0
     reading_jump: float = Scaled(0.05, "m")

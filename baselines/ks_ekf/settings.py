@@ -21,8 +21,9 @@ FIELDS_MAY_BE_ZERO = ("tension_change", "center_of_mass_prior", "bias_walk", "le
 class KsEkfSettings:
     """Settings of `KsEkf`; noises and priors are one standard deviation.
 
-    Defaults are those of the robot ``carosac`` and of the simulated sensors. Noise and bias of IMU
-    and encoders are the same for every robot; all others that have a unit scale with the robot.
+    Defaults are those of the robot ``carosac`` and of the simulated sensors. Noise and bias of the
+    IMU are the same for every robot; those of lengths are smaller on smaller robots, but not larger
+    on larger ones. All others that have a unit scale with the robot.
 
     Attributes:
         coupling: What the lengths are to the filter: themselves the measurement (``"tight"``), or
@@ -68,9 +69,9 @@ class KsEkfSettings:
     imu_gap: float = Scaled(0.05, "s")
     rate_change: float = Scaled(10.0, "rad/s^2")
     force_change: float = Scaled(40.0, "m/s^3")
-    length_noise: float = 0.3e-3
+    length_noise: float = Scaled(0.3e-3, "m", most=0.3e-3)
     tension_change: float = 0.5
-    length_bias: float = 5e-3
+    length_bias: float = Scaled(5e-3, "m", most=5e-3)
     length_walk: float = Scaled(0.01, "m/sqrt(s)")
     center_of_mass_prior: float = Scaled(0.01, "m")
     gate: float = 0.9999

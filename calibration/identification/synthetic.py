@@ -8,8 +8,10 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
@@ -91,9 +93,11 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
             positions.append(truth.position[0])
             rotations.append(truth.rotation[0])
     time: Array = COMMAND_PERIOD_S * stride * np.arange(len(lengths), dtype=np.float64)
+    sensors = resolved(SensorSettings(), Scales(robot).ratios)
     return _record(
-        chosen, plant, rng, time, np.array(lengths), np.array(positions), np.array(rotations)
-    )
+        chosen, sensors, plant, rng, time, np.array(lengths), np.array(positions),
+        np.array(rotations),
+    )  # fmt: skip
 
 
 def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -112,6 +116,7 @@ def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> 
 
 def _record(
     settings: RunSettings,
+    sensors: SensorSettings,
     plant: Robot,
     rng: np.random.Generator,
     time: Array,
@@ -122,7 +127,6 @@ def _record(
     """Add the noise of the sensors."""
     from scipy.spatial.transform import Rotation
 
-    sensors = SensorSettings()
     offset = sensors.encoder_bias * rng.standard_normal(plant.n)
     reading = length + offset + sensors.encoder_noise * rng.standard_normal(length.shape)
     if sensors.encoder_resolution > 0.0:

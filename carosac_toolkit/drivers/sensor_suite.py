@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.drivers.plant import Plant
 from carosac_toolkit.drivers.sensors import DelayLine, SensorSettings, check_suite, quantised
 from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
+from carosac_toolkit.physics.scales import Scales
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
 RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
@@ -36,7 +38,7 @@ class SensorSuite:
 
         Args:
             suite: One of `SENSOR_SUITES`.
-            settings: Their numbers.
+            settings: Their numbers; defaults that are left follow from the robot of the plant.
             plant: At rest where it starts, at time 0.
             seed: Of biases and noise: one for all robots together, or one for each, which then has
                 the sensors that it would have alone.
@@ -45,7 +47,7 @@ class SensorSuite:
             InvalidField: An unknown suite, or an IMU on a plant without inertia.
         """
         check_suite(suite, inertial=plant.inertial)
-        self._settings = settings
+        self._settings = settings = resolved(settings, Scales(plant.robot).ratios)
         self._size, self._n = plant.size, plant.robot.n
         self._rng = _streams(seed, self._size)
         self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()

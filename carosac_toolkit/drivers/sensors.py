@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
+from carosac_toolkit.base.scaled import Scaled
 
 SENSOR_SUITES = (
     "lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose", "lengths+tension",
@@ -22,6 +23,10 @@ SENSOR_SUITES = (
 @dataclass(frozen=True, kw_only=True)
 class SensorSettings:
     """Rates, errors and delays of the sensors; random errors as one standard deviation.
+
+    Default errors of lengths, positions and tensions are those on ``carosac`` and on larger or
+    heavier robots. On others they are smaller in proportion, as people choose drums, load cells and
+    the distance of cameras to suit a robot, and home a small one more accurately.
 
     Attributes:
         encoder_rate: Sampling rate of the encoders [Hz].
@@ -47,12 +52,12 @@ class SensorSettings:
     """
 
     encoder_rate: float = 100.0
-    encoder_noise: float = 0.2e-3
-    encoder_resolution: float = 0.05e-3
-    encoder_bias: float = 5e-3
+    encoder_noise: float = Scaled(0.2e-3, "m", most=0.2e-3)
+    encoder_resolution: float = Scaled(0.05e-3, "m", most=0.05e-3)
+    encoder_bias: float = Scaled(5e-3, "m", most=5e-3)
     encoder_delay: float = 0.01
     pose_rate: float = 100.0
-    position_noise: float = 1e-3
+    position_noise: float = Scaled(1e-3, "m", most=1e-3)
     rotation_noise: float = 0.5e-3
     pose_delay: float = 0.01
     imu_rate: float = 200.0
@@ -63,8 +68,8 @@ class SensorSettings:
     imu_delay: float = 0.0
     tension: bool = False
     tension_rate: float = 100.0
-    tension_noise: float = 0.5
-    tension_bias: float = 1.0
+    tension_noise: float = Scaled(0.5, "N", most=0.5)
+    tension_bias: float = Scaled(1.0, "N", most=1.0)
     tension_delay: float = 0.01
 
     def __post_init__(self) -> None:

@@ -77,7 +77,7 @@ class GuardSettings:
             sample.
         direction_max: Largest turn of a winch against its commands [m], besides the motion in the
             spread of lags and in the age of the sample. The default is twenty times the noise of
-            an encoder, whatever the size of the robot.
+            an encoder of ``carosac``, whatever the size of the robot.
         tension_shift_max: Largest relative change since `enable` of the ratio of measured tension
             to equilibrium tension at the measured lengths; with load cells and six cables or fewer.
             None: not checked, as sway shifts tensions too; for slow runs.
