@@ -230,7 +230,7 @@ def _first_limit(
     length = rest.unstrained_length
     short, long = length < robot.length_min, length > robot.length_max
     longest = np.argmax(length - robot.length_max, axis=1)
-    loop = _hangs_in_a_loop(robot, rest, longest, long.any(axis=1))
+    loop = _hangs_in_a_loop(robot, rest, longest, np.flatnonzero(long.any(axis=1)))
     near = np.zeros(len(tilt), dtype=bool)
     if settings.clearance is not None:
         near = distance < settings.clearance
@@ -254,7 +254,7 @@ def _first_limit(
 
 
 def _hangs_in_a_loop(
-    robot: Robot, rest: Equilibrium, cable: NDArray[np.intp], asked: NDArray[np.bool_]
+    robot: Robot, rest: Equilibrium, cable: NDArray[np.intp], rows: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Return where a cable would fit on its winch, were it not for its loop, shape (B,).
 
@@ -265,10 +265,9 @@ def _hangs_in_a_loop(
         robot: Robot description.
         rest: Equilibria, B poses.
         cable: Index of the cable of each pose, shape (B,).
-        asked: Poses to judge, shape (B,); False for the others.
+        rows: Indices of the poses to judge; the others are False.
     """
-    rows = np.flatnonzero(asked)
-    loop = np.zeros(len(asked), dtype=bool)
+    loop = np.zeros(len(cable), dtype=bool)
     if len(rows) == 0:
         return loop
     which = cable[rows]
