@@ -47,10 +47,10 @@ def estimator_limits(results: StudyResults, labels: Sequence[str]) -> Iterator[s
         tracking, estimation = (line[f"{x}_rmse_m"]["norm"] for x in ("tracking", "estimation"))
         if estimation is not None and estimation >= ESTIMATE_SHARE_MIN * tracking > 0.0:
             yield (
-                f"{labels[best]} tracks with {say_length(tracking)} RMSE, where the platform is "
-                f"known to {say_length(estimation)}: with feedback, a better estimator or better "
-                "sensors would help more than another controller. Add truth to --estimators to "
-                "see by how much."
+                f"{labels[best]} tracks with {say_length(tracking)} RMSE, and the position that it "
+                f"is given is off by {say_length(estimation)}. With feedback, a controller can "
+                "hardly track better than that: improve estimator, sensors or calibration first. "
+                "A row with the estimator truth (--estimators) shows by how much they can help."
             )
 
 

@@ -67,7 +67,7 @@ def limit_scores(log: Log, robot: Robot, *, replayed: bool = False) -> dict[str,
             "tension_min_N": float(log.tension.min()),
             "tension_max_N": float(log.tension.max()),
             "slack_share": float(below.mean()),
-            "slack_until_share": float(last[-1] + 1) / len(below) if len(last) else 0.0,
+            "slack_until_share": float(last[-1] + 1) / len(log.time) if len(last) else 0.0,
             "overload_share": float(over.any(axis=-1).mean()),
         }
     return row
