@@ -83,6 +83,7 @@ def _values_by_field() -> dict[str, Values]:
     conditions = read_names("carosac_toolkit.robot.perturbations", "CONDITIONS_BY_NAME")
     return {
         "robot": robots, "robots": robots, "robot_argument": robots,
+        "copy": robots,
         "recording": recordings,
         "what": Values((*list_robots(), *list_recordings()), (ANY_FILE,)),
         "controller": controllers, "controllers": controllers,

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array, batch, rotations
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest.distance import cable_distances, separate_pairs
 from carosac_toolkit.physics.rest.hold import WidestRest, hold
 from carosac_toolkit.physics.rest.statics import Equilibrium
@@ -19,6 +20,7 @@ from carosac_toolkit.workspace.second_search import second_search
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 WEIGHTLESS_DENSITY_RATIO = 1e-9  # of its own density: a cable that heavy is straight to rounding
+LOOP_LENGTH_RATIO = 1.04  # of its straight line: longer, it pulls with less than its own weight
 SHAPE_CHUNK_POSES = 4096  # poses whose cable shapes are in memory at a time
 
 
@@ -32,7 +34,8 @@ class Verdicts:
         margin: Distance of the tensions from their limits [N], shape (B,), the least over
             the required wrenches; negative: by so much the limits would have to be widened.
             Minus infinity where nothing balances, NaN where it was not computed.
-        limit: The `Limit` that keeps each pose out, `Limit.INSIDE` where none does, shape (B,).
+        limit: The `Limit` that keeps each pose out, `Limit.INSIDE` where none does, shape (B,). A
+            cable that exceeds its winch only because it hangs in a loop is `Limit.SLACK`.
         cable: Index of the cable that the limit is about, for `Limit.NO_EQUILIBRIUM` the one that
             would have to push most; -1: none, shape (B,).
         nearest: The tension limit that counts most for the margin, inside as well: `Limit.SLACK`,
@@ -226,6 +229,8 @@ def _first_limit(
     """Return the first limit, apart from the tensions', that a rest breaks, and its cable."""
     length = rest.unstrained_length
     short, long = length < robot.length_min, length > robot.length_max
+    longest = np.argmax(length - robot.length_max, axis=1)
+    loop = _hangs_in_a_loop(robot, rest, longest, np.flatnonzero(long.any(axis=1)))
     near = np.zeros(len(tilt), dtype=bool)
     if settings.clearance is not None:
         near = distance < settings.clearance
@@ -236,7 +241,8 @@ def _first_limit(
         (~rest.stable, Limit.UNSTABLE, -1),
         (steep, Limit.TILT, -1),
         (short.any(axis=1), Limit.TOO_SHORT, np.argmax(robot.length_min - length, axis=1)),
-        (long.any(axis=1), Limit.TOO_LONG, np.argmax(length - robot.length_max, axis=1)),
+        (loop, Limit.SLACK, longest),
+        (long.any(axis=1), Limit.TOO_LONG, longest),
         (near, Limit.COLLISION, -1),
     )
     limit = np.full(len(tilt), Limit.INSIDE, dtype=np.int32)
@@ -245,3 +251,28 @@ def _first_limit(
         limit = np.where(broken, name, limit)
         cable = np.where(broken, which, cable)
     return limit.astype(np.int32), cable.astype(np.int32)
+
+
+def _hangs_in_a_loop(
+    robot: Robot, rest: Equilibrium, cable: NDArray[np.intp], rows: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Return where a cable would fit on its winch, were it not for its loop, shape (B,).
+
+    Only the weight of the loop keeps the tension at the platform above its limit. A parabola whose
+    horizontal pull equals its weight sags by 1/8 of its span, and is longer by 8/3 of 1/8 squared.
+
+    Args:
+        robot: Robot description.
+        rest: Equilibria, B poses.
+        cable: Index of the cable of each pose, shape (B,).
+        rows: Indices of the poses to judge; the others are False.
+    """
+    loop = np.zeros(len(cable), dtype=bool)
+    if len(rows) == 0:
+        return loop
+    which = cable[rows]
+    straight = straight_length(robot, rest.position[rows], rest.rotation[rows]).length
+    line = straight[np.arange(len(rows)), which]
+    length = rest.unstrained_length[rows, which]
+    loop[rows] = (line <= robot.length_max[which]) & (length > LOOP_LENGTH_RATIO * line)
+    return loop

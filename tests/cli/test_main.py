@@ -8,6 +8,7 @@ import pytest
 
 from carosac_toolkit import __version__
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.robot.file import load_robot, robot_text
 
 HEAVY = {"warp", "matplotlib", "pyarrow", "scipy", "pydantic", "numpy", "tyro", "yaml"}
 
@@ -144,3 +145,31 @@ def test_json_holds_the_numbers_that_are_printed(tmp_path, capsys):
     assert all(robot["name"] in out for robot in data["robots"])
     assert (tmp_path / "robots.json").stat().st_mtime >= start - 1.0
     assert [path.name for path in tmp_path.iterdir()] == ["robots.json"]
+
+
+def test_a_bundled_robot_is_copied_to_a_new_file_that_loads(tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    assert main(["robots", "--copy", "desktop", str(path)]) == 0
+    assert f"carosac check {path}" in capsys.readouterr().out
+    assert path.read_text() == robot_text("desktop")
+    assert load_robot(path).mass == load_robot("desktop").mass
+    path.write_text("mine")
+    assert main(["robots", "--copy", "scampi", str(path)]) == 2
+    assert "a new file; this one exists" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["desktob", "x.yaml"], "'desktob'; allowed: a bundled robot, of carosac"),
+        (["desktop"], "--copy: got 'desktop'; allowed: two words: NAME FILE"),
+        (["desktop", "x.txt"], "allowed: a file name ending in .yaml or .yml"),
+        (["desktop", "no/x.yaml"], "allowed: a file in an existing folder; no no/"),
+    ],
+)
+def test_a_copy_that_cannot_be_made_is_one_message(words, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["robots", "--copy", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line and list(tmp_path.iterdir()) == []

@@ -76,6 +76,15 @@ def test_the_limit_that_decides_is_named(changes, settings, limit, cables):
     assert Limit(found.limit[0]) is limit and found.cable[0] in cables
 
 
+def test_a_cable_that_hangs_in_a_loop_is_slack_not_too_long_for_its_winch():
+    """At the side of SCAMPI's frame the far cable pulls by the weight of its loop alone."""
+    robot = ct.load_robot("scampi")
+    found = judge(robot, [[-1.82, -6.24, 3.99]])
+    line = np.linalg.norm(robot.exit_points[2] - found.rest.position[0])
+    assert line < robot.length_max[2] < found.rest.unstrained_length[0, 2]
+    assert (Limit(found.limit[0]), found.cable[0]) == (Limit.SLACK, 2)
+
+
 def test_tilt_is_limited():
     robot = ct.load_robot("carosac")
     place = [[-1.5, -3.7, 1.2]]

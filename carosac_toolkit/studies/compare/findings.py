@@ -10,10 +10,11 @@ from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
-    PAIR_COLUMNS,
+    TRUTH,
     StudyResults,
     estimated,
     pooled,
+    shared_cases,
     steps,
     tracked,
 )
@@ -75,8 +76,7 @@ def blocks_of(results: StudyResults) -> list[tuple[str, list[int]]]:
 
 def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     """Compare the groups of one robot and perturbation."""
-    if len({results.summary[k]["estimator"] for k in members}) > 1:
-        yield from _compared(results, members, ESTIMATION_QUANTITY)
+    yield from _compared(results, estimators_of(results, members), ESTIMATION_QUANTITY)
     yield from (text for k in members if (text := _consistency(results, k)))
     yield from _compared(results, members, TRACKING_QUANTITY)
     errors = TRACKING_QUANTITY.errors(results, members)
@@ -94,6 +94,16 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     sway = sway_sentence(results, members)
     if sway:
         yield sway
+
+
+def estimators_of(results: StudyResults, members: Sequence[int]) -> list[int]:
+    """Return the groups whose estimators are worth a comparison: none if there is only one.
+
+    `truth` does not estimate.
+    """
+    estimating = [k for k in members if results.summary[k]["estimator"] != TRUTH]
+    several = len({results.summary[k]["estimator"] for k in estimating}) > 1
+    return estimating if several else []
 
 
 def sway_sentence(results: StudyResults, members: Sequence[int]) -> str | None:
@@ -118,7 +128,7 @@ def extremes(results: StudyResults, members: Sequence[int], what: _ComparedError
         yield from _compared(results, [ranked[0], ranked[-1]][: len(ranked)], what)
 
 
-def _compared(results: StudyResults, members: list[int], what: _ComparedError) -> Iterator[str]:
+def _compared(results: StudyResults, members: Sequence[int], what: _ComparedError) -> Iterator[str]:
     """Compare the best group with the second and with the last one."""
     errors = what.errors(results, members)
     ranked = sorted(errors, key=lambda k: errors[k])
@@ -136,22 +146,18 @@ def _compared(results: StudyResults, members: list[int], what: _ComparedError) -
 
 def _pair(results: StudyResults, one: int, two: int, what: _ComparedError) -> str:
     """Compare two groups over the cases in which both have an error."""
-    by_case = [
-        {tuple(row[name] for name in PAIR_COLUMNS): row for row in what.rows(results.groups[k])}
-        for k in (one, two)
-    ]
-    common = [key for key in by_case[0] if key in by_case[1]]
-    rows = [[table[key] for key in common] for table in by_case]
+    rows = shared_cases(what.rows(results.groups[one]), what.rows(results.groups[two]))
     size = [pooled(part, what.column, steps(part)) for part in rows]
     labels = results.labels_of(COMPARED_COLUMNS)
     names = [labels[one], labels[two]]
     if size[0] is None or size[1] is None:
         return f"{names[0]} and {names[1]} share no successful case: no comparison."
     if size[0] > size[1]:  # the ranking is over all cases, this is over those they share
-        rows, size, names = rows[::-1], size[::-1], names[::-1]
+        rows, size, names = (rows[1], rows[0]), size[::-1], names[::-1]
     low, high = float(size[0] or 0.0), float(size[1] or 0.0)
-    single = len(common) == 1
-    over = "RMSE in the one case of both" if single else f"RMSE over the same {len(common)} cases"
+    cases = len(rows[0])
+    single = cases == 1
+    over = "RMSE in the one case of both" if single else f"RMSE over the same {cases} cases"
     if high <= EQUAL_RATIO_MAX * low:
         texts = f"{say_length(low)} and {say_length(high)}"
         return f"{names[0]} and {names[1]} {what.verb} alike: {texts} {over}."

@@ -9,6 +9,7 @@ from carosac_toolkit.studies.compare.findings import (
     ESTIMATION_QUANTITY,
     TRACKING_QUANTITY,
     blocks_of,
+    estimators_of,
     extremes,
     sway_sentence,
 )
@@ -34,8 +35,7 @@ def headlines(results: StudyResults) -> list[str]:
 
 def _errors(results: StudyResults, members: Sequence[int]) -> Iterator[str]:
     """Compare the best and the last, by estimation where estimators differ, and by tracking."""
-    if len({results.summary[k]["estimator"] for k in members}) > 1:
-        yield from extremes(results, members, ESTIMATION_QUANTITY)
+    yield from extremes(results, estimators_of(results, members), ESTIMATION_QUANTITY)
     yield from extremes(results, members, TRACKING_QUANTITY)
 
 

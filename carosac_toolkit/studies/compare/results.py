@@ -38,6 +38,7 @@ PAIR_COLUMNS = (
     "trajectory",
     "seed",
 )  # with robot and perturbation: the same plant on the same path
+TRUTH = "truth"  # the estimator that a simulated driver answers, without error
 AXIS_NAMES = ("x", "y", "z", "norm")
 ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
@@ -114,6 +115,15 @@ def estimated(rows: Sequence[Row]) -> list[Row]:
     return [row for row in scored(rows) if row.get("estimation_rmse_norm_m") is not None]
 
 
+def shared_cases(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """Return the rows of the cases that two groups of rows share, in the same order."""
+    one, two = (
+        {tuple(row[name] for name in PAIR_COLUMNS): row for row in part} for part in (rows, others)
+    )
+    common = [key for key in one if key in two]
+    return [one[key] for key in common], [two[key] for key in common]
+
+
 def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
     """Return the root of the weighted mean of squares of a column, None if no row has it."""
     pairs = [(row.get(name), w) for row, w in zip(rows, weights, strict=True)]
@@ -187,6 +197,7 @@ def _limits(rows: Sequence[Row]) -> dict[str, Any]:
         "tension_max_N": max(largest, default=None),
         **{name: max(_known(ran, name), default=None) for name in ROBOT_COLUMNS},
         **{name: _share(ran, name) for name in ("slack_share", "overload_share", "outside_share")},
+        "slack_until_share": max(_known(ran, "slack_until_share"), default=None),
         "limited": limited,
         "limited_share": limited / sum(commands) if sum(commands) else None,
         "limited_by": _sorted_counts(ran, "limited_by"),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from math import isclose
 from typing import Any
 
+from carosac_toolkit.studies.compare.estimator_limits import estimator_limits
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
     PAIR_COLUMNS,
@@ -46,6 +47,12 @@ CORRECTIONS_ADVICE = (
     "errors, damping of sway or noise of the estimate"
 )
 SLACK_SHARE_LASTING = 0.5  # of the time: slack from more than fast motion
+START_SHARE_MAX = 0.2  # of the run: cables slack until then alone were slack at its start
+START_ADVICE = (
+    "they were slack at the start alone, so slower paths do not help. The first commands step from "
+    "the lengths at which the platform rests to those of the controller's own model. Errors of "
+    "encoders and of the robot file (driver.sensors, --condition) set the size of that step"
+)
 
 
 def surprises(results: StudyResults) -> list[str]:
@@ -54,6 +61,7 @@ def surprises(results: StudyResults) -> list[str]:
         *_diverged(results),
         *_limited(results),
         *_tensions(results),
+        *estimator_limits(results, _labels(results)),
         *_outside(results),
         *_moved(results),
         *_fallbacks(results),
@@ -66,6 +74,7 @@ def grave_surprises(results: StudyResults) -> list[str]:
     return [
         *_diverged(results),
         *_limited(results, GRAVE_LIMITED_SHARE_MIN),
+        *estimator_limits(results, _labels(results)),
         *_outside(results),
         *_moved(results),
         *_fallbacks(results),
@@ -136,10 +145,7 @@ def _advice(results: StudyResults, name: str, members: Sequence[tuple[str, dict[
 
 def _tensions(results: StudyResults) -> Iterator[str]:
     """Tell whose tensions left their limits."""
-    slack = _times(
-        results, "slack_share", SLACK_SHARE_MIN,
-        lambda line: f", down to {line['tension_min_N']:.2g} N",
-    )  # fmt: skip
+    slack = _times(results, "slack_share", SLACK_SHARE_MIN, _slack_ending)
     if slack:
         low = _limits(results, "tension_limit_low_N", "slack_share")
         yield (
@@ -157,6 +163,9 @@ def _tensions(results: StudyResults) -> Iterator[str]:
 
 def _slack_advice(results: StudyResults) -> str:
     """Say what keeps cables taut."""
+    slack = [x for x in results.summary if (x["slack_share"] or 0.0) > SLACK_SHARE_MIN]
+    if all(_only_at_the_start(line) for line in slack):
+        return START_ADVICE
     if any((line["slack_share"] or 0.0) > SLACK_SHARE_LASTING for line in results.summary):
         return (
             "slack for most of the time does not come from speed. See whether errors of encoders "
@@ -166,6 +175,18 @@ def _slack_advice(results: StudyResults) -> str:
     held = any((line["limited_share"] or 0.0) > LIMITED_SHARE_MIN for line in results.summary)
     first = "see to the limited commands first, then " if held else ""
     return f"{first}go slower, or keep farther from the edge of the workspace"
+
+
+def _slack_ending(line: dict[str, Any]) -> str:
+    """Tell the least tension of a group, and if its cables were slack at the start alone."""
+    at_the_start = ", at the start" if _only_at_the_start(line) else ""
+    return f"{at_the_start}, down to {line['tension_min_N']:.2g} N"
+
+
+def _only_at_the_start(line: dict[str, Any]) -> bool:
+    """Return whether no cable of a group was slack after the start of its runs."""
+    until = line["slack_until_share"]
+    return until is not None and until <= START_SHARE_MAX
 
 
 def _times(

@@ -15,7 +15,8 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 LIMIT_COLUMNS = (
-    "tension_min_N", "tension_max_N", "slack_share", "overload_share", "outside_share",
+    "tension_min_N", "tension_max_N", "slack_share", "slack_until_share", "overload_share",
+    "outside_share",
 )  # fmt: skip
 CAUSES = ("jump", "length", "box", "speed", "acceleration", "jerk", "length_rate", "coordination")
 ROUNDING_RATIO = 1e-6  # of a tension limit, and of a metre: excess that is rounding
@@ -38,6 +39,7 @@ def limit_scores(log: Log, robot: Robot, *, replayed: bool = False) -> dict[str,
         * ``tension_min_N``, ``tension_max_N``: least and largest true tension of any cable;
         * ``slack_share``, ``overload_share``: share of time with any cable below its
           ``tension_min``, above its ``tension_max``;
+        * ``slack_until_share``: share of the run after which no cable is slack;
         * ``outside_share``: share of time with the platform origin outside the workspace box.
 
         None where the truth is not known.
@@ -58,11 +60,14 @@ def limit_scores(log: Log, robot: Robot, *, replayed: bool = False) -> dict[str,
         return row
     row["outside_share"] = float((outside(robot, log.position) > ROUNDING_RATIO).mean())
     if log.tension is not None:
+        below = slack(robot, log.tension).any(axis=-1)
+        last = np.flatnonzero(below.any(axis=-1))
         over = log.tension > robot.tension_max * (1.0 + ROUNDING_RATIO)
         row |= {
             "tension_min_N": float(log.tension.min()),
             "tension_max_N": float(log.tension.max()),
-            "slack_share": float(slack(robot, log.tension).any(axis=-1).mean()),
+            "slack_share": float(below.mean()),
+            "slack_until_share": float(last[-1] + 1) / len(log.time) if len(last) else 0.0,
             "overload_share": float(over.any(axis=-1).mean()),
         }
     return row

@@ -73,6 +73,17 @@ def test_slack_and_overloaded_cables_are_told_with_the_limits():
     assert "does not come from speed" in lasting and "go slower" not in lasting
 
 
+def test_slower_paths_are_not_advised_where_cables_are_slack_at_the_start_alone():
+    first = {"slack_share": 0.04, "tension_min_N": 0.01, "slack_until_share": 0.05}
+    (text,) = surprises(study(rows("a", **first)))
+    assert "a 4 % of the time, at the start, down to 0.01 N" in text
+    assert "slower paths do not help" in text and "go slower" not in text
+    later = first | {"slack_until_share": 0.9}
+    (text,) = surprises(study([*rows("a", **first), *rows("b", 0.02, **later)]))
+    assert "a 4 % of the time, at the start, down" in text and "b 4 % of the time, down" in text
+    assert "go slower" in text
+
+
 def test_the_terminal_is_spared_what_its_table_and_headlines_tell():
     grave = {"limited": 44} | LIMITED
     few = {"limited": 5, "limited_by": '{"jump": 5}', "limited_first": '{"jump": 5}'}

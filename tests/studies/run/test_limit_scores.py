@@ -40,10 +40,17 @@ def test_shares_of_slack_overload_and_commands_limited_are_those_made_by_hand():
     row = limit_scores(replace(made, limited=tuple(hits)), ROBOT)
     assert (row["tension_min_N"], row["tension_max_N"]) == (1.0, 600.0)
     assert row["slack_share"] == pytest.approx(30 / 301)
+    assert row["slack_until_share"] == pytest.approx(30 / 301)
     assert row["overload_share"] == pytest.approx(3 / 301)
     assert row["limited_share"] == pytest.approx(9 / 301)
     assert json.loads(row["limited_by"]) == {"jump": 9, "speed": 1}
     assert row["outside_share"] == 0.0
+
+
+def test_the_last_slack_cable_ends_the_slack_part_of_a_run():
+    made = with_tension(with_tension(log(), slice(0, 30), 1.0), slice(200, 201), 1.0, cable=0)
+    assert limit_scores(made, ROBOT)["slack_until_share"] == pytest.approx(201 / 301)
+    assert limit_scores(log(), ROBOT)["slack_until_share"] == 0.0
 
 
 def test_on_a_recording_nothing_is_scored_that_a_command_could_change():
