@@ -100,12 +100,12 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
     controller_name, estimator_name = row.split("/")
     robot, ratios = world.robot, world.ratios
     period = PERIOD_S * ratios.time
-    sensors = SensorSettings(
-        **{
-            name: float(getattr(SensorSettings(), name)) * ratios.of_unit(unit)
-            for name, unit in SENSOR_UNITS.items()
-        }
-    )
+    usual = SensorSettings()
+    errors: dict[str, Any] = {
+        name: float(getattr(usual, name)) * ratios.of_unit(unit)
+        for name, unit in SENSOR_UNITS.items()
+    }
+    sensors = SensorSettings(**errors)
     driver = build_plugin(
         plugins.load("drivers", "simulator"), robot, where="driver", seed=1,
         asked={

@@ -49,7 +49,7 @@ class KsEkf:
         require("KS+EKF", "filterpy", "pinocchio")
         self._robot = robot
         self._settings = filter_settings(robot, settings)
-        self._tolerances = reading_tolerances(robot, settings.length_noise)
+        self._tolerances = reading_tolerances(robot, self._settings.length_noise)
         self._lead = robot.length_delay or 0.0
         self._kalman = ErrorFilter(FIXED_ERROR_COUNT + robot.n, settings.gate)
         self._motion = InertialMotion(

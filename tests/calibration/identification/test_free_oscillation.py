@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from calibration.identification.procedure import identify
@@ -13,6 +14,8 @@ from calibration.identification.settings import IdentificationSettings
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.robot.parameters import values_of
 from tests.calibration.identification.oscillations import POSITION_NOISE_M, free_oscillation
 from tests.robots import hanging
 
@@ -47,3 +50,28 @@ def test_a_swinging_platform_tells_its_frequencies_and_its_centre_of_mass(plant)
     sigma = found.estimate.select([f"center_of_mass.{axis}" for axis in "xyz"]).sigma
     off = np.abs(found.robot.center_of_mass - plant.center_of_mass)
     assert (off < np.maximum(2e-3, 2.0 * sigma)).all()
+
+
+def test_dry_friction_and_the_tilt_of_the_pose_frame_are_found_from_a_swing():
+    """Neither is in the robot file, whose exit points were measured in the tilted frame as well."""
+    bare = ct.load_robot("carosac")
+    plant = replace(bare, anchor_friction=np.full(4, 0.15), angular_drag=0.5 * bare.angular_drag)
+    level, _ = free_oscillation(plant, 3, swing=np.radians(15.0), duration=20.0)
+    tilt = Rotation.from_rotvec([0.006, -0.008, 0.0]).as_matrix()  # from the poses' frame to W
+    tilted = PoseSamples.from_rotation(
+        level.poses.time, level.poses.position @ tilt,
+        tilt.T @ Rotation.from_quat(level.poses.quaternion, scalar_first=True).as_matrix(),
+    )  # fmt: skip
+    robot = replace(bare, exit_points=plant.exit_points @ tilt)
+    settings = replace(FEW, length_hysteresis=0.0, length_offset=0.005, exit_friction=0.0)
+    count = len(level.time)
+    found = identify(
+        replace(level, poses=tilted), robot, settings, train=(0, 3 * count // 4),
+        test=(3 * count // 4, count),
+    )  # fmt: skip
+    assert found.test.after.rmse[3] < 1.3 * np.sqrt(3.0) * POSITION_NOISE_M
+    assert found.robot.anchor_friction == pytest.approx(np.full(4, 0.15), rel=0.2)
+    assert values_of(found.robot, ["pose_tilt.x", "pose_tilt.y"]) == pytest.approx(
+        [0.006, -0.008], abs=1e-3
+    )
+    assert found.robot.exit_points == pytest.approx(plant.exit_points, abs=0.01)
