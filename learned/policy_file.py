@@ -332,7 +332,7 @@ def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescrip
 
 def _robot(path: str | Path, record: Any) -> Robot:
     """Read the robot of a policy; optional fields that came to `Robot` later may be missing."""
-    needed = {f.name for f in fields(Robot) if f.default is MISSING}
+    needed = {f.name for f in fields(Robot) if f.default is f.default_factory is MISSING}
     known = {f.name for f in fields(Robot)}
     names = set(record) if isinstance(record, dict) else set()
     wrong = sorted((needed - names) | (names - known))
