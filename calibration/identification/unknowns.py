@@ -176,6 +176,7 @@ def _reach(robot: Robot) -> float:
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
     """Return parameters that are not held, and one sigma of each."""
     cables = robot.cable_names
+    tilts = is_anchored(robot) or settings.exit_points > 0.0  # else exit points could not turn
     groups: dict[str, list[str]] = {
         "exit_points": point_names("exit_points", cables),
         "length_offset": [f"length_offset[{c}]" for c in cables],
@@ -190,7 +191,7 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "exit_friction": ["exit_friction"],
         "anchor_friction": ["anchor_friction"],
         "length_hysteresis": [f"length_hysteresis[{c}]" for c in cables],
-        "pose_tilt": ["pose_tilt.x", "pose_tilt.y"],
+        "pose_tilt": ["pose_tilt.x", "pose_tilt.y"] if tilts else [],
     }
     for field in _PER_CABLE_FIELDS:
         same = np.ptp(getattr(robot, field)) == 0.0
