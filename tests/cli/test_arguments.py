@@ -21,8 +21,8 @@ from carosac_toolkit.loop.plugins import load
         (["view", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot"),
         (["view"], "WHAT: got nothing; allowed: a robot, a recording or a study's folder"),
         (["check", "a", "b"], "argument: got 'b'; allowed: nothing more"),
-        (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed; "
-         "did you mean '--seed'?"),
+        (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed, "
+         "--copy; did you mean '--seed'?"),
         (["check", "x", "--robts", "y"], "option: got '--robts'; allowed: --help, --json, --seed, "
          "--robot, --picture; did you mean '--robot'?"),
         (["workspace", "carosac", "--cells", "9"], "did you mean '--points' or '--slice-points'?"),

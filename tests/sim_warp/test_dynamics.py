@@ -23,6 +23,7 @@ def cut_loose(sim, length=60.0):
     """Pay out so much cable at once that none pulls; returns the command that leaves it so."""
     snapshot = sim.save()
     snapshot.arrays["winch"]["length"][...] = length
+    snapshot.arrays["winch"]["wound"][...] = length
     sim.restore(snapshot)
     return np.full((sim.size, sim.fleet.n), length)
 

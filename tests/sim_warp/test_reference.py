@@ -42,7 +42,8 @@ def hanging():
         for name in (
             "pulley_radius", "swivel_axis", "run_length", "axial_stiffness", "axial_damping",
             "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max",
-            "winch_lag", "length_min", "length_max",
+            "winch_lag", "length_min", "length_max", "exit_friction", "anchor_friction",
+            "length_hysteresis",
         )
     }  # fmt: skip
     per_cable["axial_stiffness"] = np.full(4, 1e5)

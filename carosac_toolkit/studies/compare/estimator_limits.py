@@ -19,15 +19,18 @@ TRUTH_RATIO_MIN = 1.5  # of tracking errors, with the estimate and with the true
 ESTIMATE_SHARE_MIN = 0.7  # of the tracking error: from here on half of its square or more
 
 
-def estimator_limits(results: StudyResults, labels: Sequence[str]) -> Iterator[str]:
+def estimator_limits(
+    results: StudyResults, labels: Sequence[str], *, suspect: bool
+) -> Iterator[str]:
     """Tell which controllers the estimator limits.
 
-    Rows with the estimator `truth` beside them show it. Without any, it is suspected of the
+    Rows with the estimator `truth` beside them show it. Without any, it can be suspected of the
     controller that tracks best, where its estimation error is most of its tracking error.
 
     Args:
         results: Results of the study.
         labels: Name of each group.
+        suspect: True to tell suspicions too.
     """
     shown = [text for k in range(len(labels)) if (text := _beside_truth(results, labels, k))]
     if shown:
@@ -35,7 +38,7 @@ def estimator_limits(results: StudyResults, labels: Sequence[str]) -> Iterator[s
             "The estimator limits tracking: with the true state in place of the estimate, the RMSE "
             f"falls {'; '.join(shown)}."
         )
-    if any(line["estimator"] == TRUTH for line in results.summary):
+    if not suspect or any(line["estimator"] == TRUTH for line in results.summary):
         return
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):

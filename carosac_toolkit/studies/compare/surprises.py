@@ -61,7 +61,7 @@ def surprises(results: StudyResults) -> list[str]:
         *_diverged(results),
         *_limited(results),
         *_tensions(results),
-        *estimator_limits(results, _labels(results)),
+        *estimator_limits(results, _labels(results), suspect=True),
         *_outside(results),
         *_moved(results),
         *_fallbacks(results),
@@ -74,7 +74,7 @@ def grave_surprises(results: StudyResults) -> list[str]:
     return [
         *_diverged(results),
         *_limited(results, GRAVE_LIMITED_SHARE_MIN),
-        *estimator_limits(results, _labels(results)),
+        *estimator_limits(results, _labels(results), suspect=False),
         *_outside(results),
         *_moved(results),
         *_fallbacks(results),

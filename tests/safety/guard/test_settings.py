@@ -44,7 +44,9 @@ def test_a_fault_of_an_encoder_or_a_home_may_not_be_larger_on_a_large_robot():
 
 
 def test_errors_of_encoders_do_not_stop_a_small_robot():
-    small, bias = settled(GuardSettings(), load_robot("desktop")), SensorSettings().encoder_bias
+    robot = load_robot("desktop")
+    small = settled(GuardSettings(), robot)
+    bias = settled(SensorSettings(), robot).encoder_bias
     assert small.home_change_max > 4.0 * bias
     assert min(small.jump_max, small.following_max, small.closure_max) > small.direction_max
 
