@@ -23,11 +23,13 @@ from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.length_readings import ReadingTolerances, reading_tolerances
 from baselines.smoother.settings import SmootherSettings, smoother_settings_for
 from benchmarks import similarity as benchmark
-from carosac_toolkit.base.scaled import Ratios, Scaled
+from carosac_toolkit.base.scaled import Ratios, Scaled, resolved
+from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop import loop, plugins
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Command, Imu, Measurement
 from carosac_toolkit.physics.motion.dynamics import cable_drag_of
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.similar import similar_robot, similarity
 
 DURATION_S = 3.0
@@ -38,6 +40,11 @@ NOT_OF_A_ROBOT = {"READING_INTERVAL_MIN_S", "TIME_TOLERANCE_S", "MINUTE_S", "WHO
 UNIT_SUFFIX = re.compile(r"_(M|S|N|KG|HZ|M_S|RAD_S|(M|RAD|M2|1)_PER_S2?|PER_S)$")
 UNIT_IN_TEXT = re.compile(r"\[(?=[^\]]*\b(m|s|N|kg|Hz)\b)[^\]]*\]")
 PACKAGES = ("dynamic_estimator", "ks_ekf", "smoother")
+SAME_ERRORS = {  # settings of `dynamic_estimator` and of the sensors
+    "encoder_bias": "encoder_bias", "encoder_noise": "encoder_noise",
+    "position_noise": "position_noise", "load_cell_noise": "tension_noise",
+    "load_cell_bias": "tension_bias",
+}  # fmt: skip
 MODULES = (
     "length_readings", "kinematic_solver", "kinematic_solver_controller", "lookahead",
     "straight_line", "straight_line_controller", "center_of_mass", "solve_record",
@@ -233,3 +240,13 @@ def test_no_module_of_an_estimator_states_a_size_of_its_own():
                 if UNIT_SUFFIX.search(name) and name not in NOT_OF_A_ROBOT:
                     wrong.append(f"{path.relative_to(root.parent)}: {name}")
     assert not wrong, f"sizes that do not scale: {wrong}"
+
+
+def test_estimators_assume_the_errors_that_the_sensors_have_by_default():
+    for name in ("desktop", "carosac", "stadium"):
+        robot = ct.load_robot(name)
+        sensors = resolved(SensorSettings(), Scales(robot).ratios)
+        known = settings_for(robot, DynamicEstimatorSettings())
+        for mine, theirs in SAME_ERRORS.items():
+            assert getattr(known, mine) == getattr(sensors, theirs), (name, mine)
+        assert filter_settings(robot, KsEkfSettings()).length_bias == sensors.encoder_bias

@@ -10,9 +10,14 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SENSOR_SUITES, SensorSettings
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.similar import similar_robot
+from carosac_toolkit.robot.sizes import cable_size
 from tests.plants import TurningPlant
 
 ALL = "lengths+imu+pose"
+LENGTH_ERRORS = ("encoder_noise", "encoder_resolution", "encoder_bias", "position_noise")
+TENSION_ERRORS = ("tension_noise", "tension_bias")
 NOISY = SensorSettings(tension=True)
 
 
@@ -256,3 +261,38 @@ def test_a_robot_that_is_set_down_anew_leaves_the_sensors_of_others_alone(imu_de
             np.testing.assert_array_equal(first[[0, 2]], second[[0, 2]])
     assert (fresh.imu is None) == (imu_delay > 0.0)  # its samples are on the way
     assert not fresh.length_rate.value[1].any()
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_default_errors_shrink_with_a_robot_but_do_not_grow(factor):
+    known = default_errors(similar_robot(load_robot("carosac"), factor))
+    for name, value in vars(SensorSettings()).items():
+        power = 1 if name in LENGTH_ERRORS else 3 if name in TENSION_ERRORS else 0
+        wanted = float(value) * min(factor, 1.0) ** power
+        assert getattr(known, name) == pytest.approx(wanted, rel=1e-9), name
+
+
+@pytest.mark.parametrize("name", ["carosac", "cogiro", "stadium"])
+def test_default_errors_are_exactly_as_stated_on_carosac_and_larger_robots(name):
+    assert vars(default_errors(load_robot(name))) == vars(SensorSettings())
+
+
+def test_errors_that_a_user_sets_stay_on_a_small_robot():
+    chosen = {name: 0.3 for name in (*LENGTH_ERRORS, *TENSION_ERRORS)}
+    plant = TurningPlant(robot=load_robot("desktop"))
+    suite = SensorSuite(ALL, SensorSettings(**chosen), plant, 0)
+    assert {name: getattr(suite._settings, name) for name in chosen} == chosen
+
+
+def test_the_bias_of_encoders_is_a_share_of_the_cables():
+    small, base = load_robot("desktop"), load_robot("carosac")
+    bias = [
+        SensorSuite("lengths", SensorSettings(), TurningPlant(robot=robot), 3).encoder_bias
+        for robot in (small, base)
+    ]
+    assert bias[0] / cable_size(small) == pytest.approx(bias[1] / cable_size(base), rel=1e-9)
+
+
+def default_errors(robot):
+    """The settings with which sensors of a robot are simulated by default."""
+    return SensorSuite(ALL, SensorSettings(), TurningPlant(robot=robot), 0)._settings
