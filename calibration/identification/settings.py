@@ -32,8 +32,8 @@ class IdentificationSettings:
             the length of the cables at home.
         anchor_friction: At the anchor points, over the weight per cable times their lever.
         length_hysteresis: Of each winch [m].
-        pose_tilt: Of the frame of the poses against gravity, about x and y [rad]; held with exit
-            points that are in that frame.
+        pose_tilt: Of the frame of the poses against gravity, about x and y [rad]. Exit
+            points that are held stay where they are in W.
         drag: Share.
         angular_drag: Share.
         rate: Poses per second that are fitted, at most [Hz].

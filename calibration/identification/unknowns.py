@@ -22,7 +22,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
-from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
@@ -34,9 +34,15 @@ _FACTOR_FIELDS = (
     "drag",
     "angular_drag",
 )
-_DRY_FIELDS = ("exit_friction", "anchor_friction", "length_hysteresis")
-_NOT_NEGATIVE_FIELDS = ("run_length", "length_delay", *_DRY_FIELDS)  # nobody can look ahead
-_PER_CABLE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
+_NOT_NEGATIVE_FIELDS = (
+    "run_length",
+    "length_delay",  # estimators cannot look ahead
+    *DRY_FIELDS,
+)
+_PER_CABLE_FIELDS = (
+    "linear_density", "axial_stiffness", "axial_damping", "run_length", "exit_friction",
+    "anchor_friction",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +57,8 @@ class Coordinates:
         factor: 1 for a factor, 0 for a change, shape (k,).
         lower: Least coordinates, shape (k,).
         reach: Mean length of the cables at home, straight [m].
-        anchored: True if the exit points are known apart from the measured poses. If not, they are
-            in the frame of the poses, and turn with it where that is tilted.
+        anchored: True if the exit points are held, or known apart from the measured poses. If not,
+            they are in the frame of the poses, and turn with it where that is tilted.
     """
 
     robot: Robot
@@ -164,7 +170,7 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
         factor=factor.astype(np.float64),
         lower=lower,
         reach=_reach(robot),
-        anchored=is_anchored(robot),
+        anchored=is_anchored(robot) or settings.exit_points == 0.0,
     )
 
 
@@ -176,7 +182,6 @@ def _reach(robot: Robot) -> float:
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
     """Return parameters that are not held, and one sigma of each."""
     cables = robot.cable_names
-    tilts = is_anchored(robot) or settings.exit_points > 0.0  # else exit points could not turn
     groups: dict[str, list[str]] = {
         "exit_points": point_names("exit_points", cables),
         "length_offset": [f"length_offset[{c}]" for c in cables],
@@ -188,20 +193,18 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
         "length_delay": ["length_delay"],
-        "exit_friction": ["exit_friction"],
-        "anchor_friction": ["anchor_friction"],
         "length_hysteresis": [f"length_hysteresis[{c}]" for c in cables],
-        "pose_tilt": ["pose_tilt.x", "pose_tilt.y"] if tilts else [],
+        "pose_tilt": ["pose_tilt.x", "pose_tilt.y"],
     }
     for field in _PER_CABLE_FIELDS:
         same = np.ptp(getattr(robot, field)) == 0.0
         groups[field] = [field] if same else [f"{field}[{c}]" for c in cables]
     names: list[str] = []
     scale: list[float] = []
-    moment = robot.weight / robot.n * np.array([_reach(robot), lever(robot)])
-    unit = dict(zip(("exit_friction", "anchor_friction"), moment, strict=True))
+    share = robot.weight / robot.n
+    units = {"exit_friction": share * _reach(robot), "anchor_friction": share * lever(robot)}
     for field, members in groups.items():
-        sigma = getattr(settings, field) * float(unit.get(field, 1.0))
+        sigma = getattr(settings, field) * units.get(field, 1.0)
         if sigma > 0.0:
             names += members
             scale += [sigma] * len(members)
