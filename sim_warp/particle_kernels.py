@@ -44,7 +44,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     scheme_of,
     solve_system,
 )
-from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
@@ -421,7 +421,7 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             inertial_rate,
         )  # fmt: skip
         total = attach(total, arm, load.force, load.stiffness)
-        if cable.exit_friction + cable.anchor_friction > ZERO:
+        if rubs(cable):
             rubbing = rub(
                 total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
             )

@@ -37,7 +37,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
     world_inertia,
 )
-from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, slid_bristles
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
 from carosac_toolkit.physics.motion.winch_kernels import resting
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
@@ -51,7 +51,7 @@ from carosac_toolkit.physics.motion.world_kernels import (
     is_nonsense,
     publish,
     roughness,
-    sliding_time,
+    start_anchor,
     turn_back,
     turn_winches,
 )
@@ -209,7 +209,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
             inertia = mass * (scheme.stiff + hung.drag / scheme.reach)
             k = k + inertia * wp.identity(n=3, dtype=wp.float64)
         total = attach(total, arm, force, k)
-        if cable.exit_friction + cable.anchor_friction > ZERO:
+        if rubs(cable):
             rubbing = rub(
                 total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
             )
@@ -361,19 +361,13 @@ def release(
     worlds.last[b] = h
     worlds.rough[b] = STEPS_ALIKE
     worlds.failed[b] = 0
+    worlds.motion[b] = start
     for i in range(worlds.winch.shape[1]):
         winch = resting(freed.unstrained_length[b, i])
         winch.rate = freed.rate[b, i]
         winch.wound_rate = freed.rate[b, i]
         worlds.winch[b, i] = winch
-        arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
-        velocity = start.velocity + wp.cross(omega, arm)
-        worlds.anchor_velocity[b, i] = velocity
-        worlds.bristles[b, i] = slid_bristles(
-            plants.cables[row, i], start.center + arm, velocity, omega, body.size,
-            sliding_time(body),
-        )  # fmt: skip
-        worlds.anchor_rate[b, i] = wp.vec3d()
+        start_anchor(plants, worlds, b, row, i)
     scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()

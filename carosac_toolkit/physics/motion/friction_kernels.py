@@ -5,15 +5,15 @@ once they are bent by `PRESLIDING_ANGLE`: with the slip s of a time step the ben
 
     z' = exp(-a) z + (1 - exp(-a)) / a s,    a = |s| / PRESLIDING_ANGLE,
 
-Dahl's law dz = s (1 - z.s / (|s| z_max)) solved for a slip that goes straight on, as `sliding`
-vectors. The moment is the dry one times z / z_max: a spring in the small, Coulomb friction in the
-large, and independent of how fast it goes. It never gives more energy back than it took.
+which solves Dahl's law dz = ds - z |ds| / PRESLIDING_ANGLE for a slip in one direction. The moment
+is the dry one times z / PRESLIDING_ANGLE: a spring for small slips, Coulomb friction for large
+ones, at every speed alike. The bristles never give back more energy than they took.
 
 Two moments rub at each cable. At its exit the swivel of a pulley resists turning about its axis,
 and an eyelet turning of the cable in any direction. At its anchor the joint resists turning of the
 platform against the cable, but for the twist about the cable. Both see the cable as a rod from
-exit point to anchor, and move the platform by a virtual power: what resists a turn of the cable
-also pulls across it, by the moment over the length.
+exit point to anchor. By virtual power, a moment that resists a turn of the cable also pulls across
+the cable at the anchor, by the moment over the length.
 
 References:
     Dahl, *A solid friction model*, The Aerospace Corporation, 1968.
@@ -49,14 +49,24 @@ class Rubbing:
 
 
 @wp.func
+def rubs(cable: Cable) -> bool:
+    """Return true if a cable has any dry friction."""
+    return cable.exit_friction + cable.anchor_friction > ZERO
+
+
+@wp.func
+def bend_gain(a: wp.float64) -> wp.float64:
+    """Return (1 - exp(-a)) / a for a >= 0."""
+    if a > SMALL_SLIP:
+        return (ONE - wp.exp(-a)) / a
+    return ONE - wp.float64(0.5) * a
+
+
+@wp.func
 def bent(z: wp.vec3d, slip: wp.vec3d) -> wp.vec3d:
     """Return the bend of bristles after a slip."""
     a = wp.length(slip) / PRESLIDING_ANGLE
-    keep = wp.exp(-a)
-    gain = ONE - wp.float64(0.5) * a
-    if a > SMALL_SLIP:
-        gain = (ONE - keep) / a
-    return keep * z + gain * slip
+    return wp.exp(-a) * z + bend_gain(a) * slip
 
 
 @wp.func
@@ -64,13 +74,11 @@ def bend_per_slip(z: wp.vec3d, slip: wp.vec3d) -> wp.mat33d:
     """Return the derivative of `bent` by the slip, without its asymmetric part; not negative."""
     size = wp.length(slip)
     a = size / PRESLIDING_ANGLE
-    gain = ONE - wp.float64(0.5) * a
     out = wp.identity(n=3, dtype=wp.float64)
     if a > SMALL_SLIP:
-        keep = wp.exp(-a)
-        gain = (ONE - keep) / a
+        gain = bend_gain(a)
         way = slip / size
-        along = keep * wp.max(ONE - wp.dot(z, way) / PRESLIDING_ANGLE, ZERO)
+        along = wp.exp(-a) * wp.max(ONE - wp.dot(z, way) / PRESLIDING_ANGLE, ZERO)
         out = gain * out + (along - gain) * wp.outer(way, way)
     return out
 
@@ -144,7 +152,7 @@ def rub(system: System, cable: Cable, bristles: Bristles, center_of_mass: wp.vec
 
     Args:
         system: Force, moment and matrix of the platform.
-        cable: The cable, of which any friction is not 0.
+        cable: The cable; see `rubs`.
         bristles: At the start of the step.
         center_of_mass: Of the platform in P [m].
         start: Motion at the start of the step.

@@ -223,19 +223,6 @@ class Encoders:
             return self._buffers.get("reading")
 
 
-def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None:
-    """Refuse drums whose cable ends before the longest length."""
-    most = radius**2 / robot.length_max
-    bad = buildup >= most
-    if bad.any():
-        i = int(np.argmax(bad))
-        allowed = (
-            f"below drum_radius^2 / length_max = {most[i]:.6g} m per length of cable, so that the "
-            f"drum pays out {robot.length_max[i]:g} m"
-        )
-        raise InvalidField(f"{name}[{i}]", f"{buildup[i]:g} m", allowed)
-
-
 def lagging_lengths(wound_length: Array, hysteresis: Array) -> Array:
     """Return the true lengths of what drums have turned for, with the hysteresis of winches.
 
@@ -257,3 +244,16 @@ def lagging_lengths(wound_length: Array, hysteresis: Array) -> Array:
     ]
     wp.launch(winch_kernels.lagging, wound_length.shape[1:], inputs=inputs, device="cpu")
     return np.array(length.numpy())
+
+
+def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None:
+    """Refuse drums whose cable ends before the longest length."""
+    most = radius**2 / robot.length_max
+    bad = buildup >= most
+    if bad.any():
+        i = int(np.argmax(bad))
+        allowed = (
+            f"below drum_radius^2 / length_max = {most[i]:.6g} m per length of cable, so that the "
+            f"drum pays out {robot.length_max[i]:g} m"
+        )
+        raise InvalidField(f"{name}[{i}]", f"{buildup[i]:g} m", allowed)

@@ -14,7 +14,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     origin_of,
     origin_velocity,
 )
-from carosac_toolkit.physics.motion.friction_kernels import Bristles, slid_bristles
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rubs, slid_bristles
 from carosac_toolkit.physics.motion.winch_kernels import (
     Winch,
     WinchState,
@@ -200,9 +200,21 @@ def publish(plants: Plants, worlds: Worlds, b: int, row: int, lane: int, lanes: 
 
 
 @wp.func
-def sliding_time(body: DynamicBody) -> wp.float64:
-    """Return for how long a platform has been moving that is put into motion [s]."""
-    return SLIDING_TIME * wp.sqrt(body.size / body.gravity)
+def start_anchor(plants: Plants, worlds: Worlds, b: int, row: int, i: int):
+    """Store what a cable needs of its anchor point where a motion without a past begins."""
+    cable = plants.cables[row, i]
+    body = plants.bodies[row]
+    motion = worlds.motion[b]
+    omega = motion.angular_velocity
+    arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
+    velocity = motion.velocity + wp.cross(omega, arm)
+    worlds.anchor_velocity[b, i] = velocity
+    worlds.anchor_rate[b, i] = wp.vec3d()
+    if rubs(cable):
+        time = SLIDING_TIME * wp.sqrt(body.size / body.gravity)
+        worlds.bristles[b, i] = slid_bristles(
+            cable, motion.center + arm, velocity, omega, body.size, time
+        )
 
 
 @wp.kernel
@@ -229,12 +241,6 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     worlds.residual[b] = wp.float64(0.0)
     for i in range(worlds.winch.shape[1]):
         worlds.winch[b, i] = resting(unstrained_length[k, i])
-        arm = rotation[k] * (plants.cables[row, i].anchor_point - body.center_of_mass)
-        velocity = motion.velocity + wp.cross(w, arm)
-        worlds.anchor_velocity[b, i] = velocity
-        worlds.bristles[b, i] = slid_bristles(
-            plants.cables[row, i], motion.center + arm, velocity, w, body.size, sliding_time(body)
-        )
-        worlds.anchor_rate[b, i] = wp.vec3d()
+        start_anchor(plants, worlds, b, row, i)
         worlds.tension[b, i] = tension[k, i]
     publish(plants, worlds, b, row, 0, 1)
