@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 from carosac_toolkit.studies.compare.results import (
     GROUP_COLUMNS,
-    TRUTH,
     StudyResults,
     pooled,
     shared_cases,
     steps,
     tracked,
 )
+from carosac_toolkit.studies.run.case import TRUTH
 from carosac_toolkit.validation.quantities import say_length
 
 TRUTH_RATIO_MIN = 1.5  # of tracking errors, with the estimate and with the true state

@@ -10,7 +10,6 @@ from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
-    TRUTH,
     StudyResults,
     estimated,
     pooled,
@@ -18,6 +17,7 @@ from carosac_toolkit.studies.compare.results import (
     steps,
     tracked,
 )
+from carosac_toolkit.studies.run.case import TRUTH
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.validation.quantities import say_length
 

@@ -38,7 +38,6 @@ PAIR_COLUMNS = (
     "trajectory",
     "seed",
 )  # with robot and perturbation: the same plant on the same path
-TRUTH = "truth"  # the estimator that a simulated driver answers, without error
 AXIS_NAMES = ("x", "y", "z", "norm")
 ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")

@@ -37,7 +37,7 @@ from carosac_toolkit.studies.compare.defaults import (
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility, path_feasibility
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
-from carosac_toolkit.studies.run.case import Case, product
+from carosac_toolkit.studies.run.case import TRUTH, Case, product
 from carosac_toolkit.studies.run.cluster import default_workers, remote_client
 from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import check_statuses, free_folder, has_cases_left
@@ -244,7 +244,7 @@ class Study:
         usual = getattr(getattr(driver, "Settings", None), "driver", None)  # of a guard
         behind = own_settings(self.driver, self.driver_settings).get("driver", usual)
         plugins = [driver, *([find_plugin("drivers", behind)] if behind is not None else [])]
-        plugins += [find_plugin("estimators", name) for name in self.estimators if name != "truth"]
+        plugins += [find_plugin("estimators", name) for name in self.estimators if name != TRUTH]
         return {plugin.__module__.partition(".")[0] for plugin in plugins}
 
     def _copy_inputs(self, folder: Path) -> None:
@@ -334,7 +334,7 @@ def _check(study: Study) -> None:
         wanted = getattr(study, f"{kind[:-1]}_settings")
         check_known(f"{kind[:-1]}_settings", wanted, names)
         for name in names:
-            if kind == "estimators" and name == "truth":
+            if kind == "estimators" and name == TRUTH:
                 check_truth(driver, study.driver)
                 continue
             plugin = find_plugin(kind, name)

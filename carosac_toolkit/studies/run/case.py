@@ -17,6 +17,7 @@ from carosac_toolkit.robot.perturbations import SEEDED_AS
 
 HASHED_AS = {"sensors": "suite"}  # name of before, in identities and seeds: draws stay the same
 SEED_BITS = 63  # a signed 64-bit integer holds every seed
+TRUTH = "truth"  # the estimator that a simulated driver answers, without error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.perturbations import Condition, PlainCondition, draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
-from carosac_toolkit.studies.run.case import Case
+from carosac_toolkit.studies.run.case import TRUTH, Case
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.scores import score
@@ -153,7 +153,7 @@ def final_rest(robot: Robot) -> float:
 
 def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     """Return the estimator that a case names; `truth` asks the driver."""
-    if case.estimator == "truth":
+    if case.estimator == TRUTH:
         return Truth(driver)
     given = {"load_cells": "tension" in case.sensors.split("+")}
     asked = case.settings.get("estimator_settings", {})

@@ -16,7 +16,7 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
-from carosac_toolkit.studies.run.case import Case, canonical
+from carosac_toolkit.studies.run.case import TRUTH, Case, canonical
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
@@ -48,7 +48,7 @@ def group_of(case: Case) -> str | None:
     settings = known_settings(case.settings)
     driver = plugins.load("drivers", str(settings.get("driver", DEFAULT_DRIVER)))
     parts = [plugins.load("controllers", plugin_name(case.controller))]
-    if case.estimator != "truth":
+    if case.estimator != TRUTH:
         parts.append(plugins.load("estimators", plugin_name(case.estimator)))
     together = all(getattr(part, "batched", False) for part in parts)
     if replays(driver) or not hasattr(driver, "build_batch") or not together:
