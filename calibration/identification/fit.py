@@ -115,7 +115,8 @@ class Fitter:
         own = slice(self._count)
         inverse = np.linalg.inv(information + self._precision)
         scores = CORRELATED_AXES * excess * information  # as they vary, beside the prior
-        covariance = inverse @ (scores + self._precision) @ inverse
+        root = inverse @ np.linalg.cholesky(scores + self._precision)
+        covariance = root @ root.T  # rounding leaves the product of three too asymmetric
         information /= CORRELATED_AXES * excess
         return CoordinateFit(
             coordinates=at[own],

@@ -124,10 +124,11 @@ class Coordinates:
             return np.asarray(np.stack(columns, axis=1))
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
+        joint = slope @ covariance @ slope.T
         return ParameterEstimate(
             names=self.prior.names,
             value=values(coordinates),
-            covariance=slope @ covariance @ slope.T,
+            covariance=0.5 * (joint + joint.T),  # symmetric to the last bit
             start=values(np.zeros(len(coordinates))),
             prior_sigma=np.sqrt(np.diag(first @ self.prior.covariance @ first.T)),
         )

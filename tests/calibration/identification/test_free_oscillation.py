@@ -73,6 +73,7 @@ def test_dry_friction_and_the_tilt_of_the_pose_frame_are_found_from_a_swing():
         test=(3 * count // 4, count),
     )  # fmt: skip
     assert found.test.after.rmse[3] < 1.3 * np.sqrt(3.0) * POSITION_NOISE_M
+    assert (found.estimate.covariance == found.estimate.covariance.T).all()
     assert found.robot.anchor_friction == pytest.approx(np.full(4, 0.15), rel=0.2)
     assert values_of(found.robot, ["pose_tilt.x", "pose_tilt.y"]) == pytest.approx(
         [0.006, -0.008], abs=1e-3
