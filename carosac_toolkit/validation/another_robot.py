@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.parameters import turn_between
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.plausibility import exit_point_distance
 
 POINT_RATIO_MAX = 0.02  # of the mean cable length: what a calibration may move points by
 WEIGHT_RATIO_MAX = 1.2  # of two weights: what a calibration or a plant may differ by
@@ -51,12 +54,15 @@ def _named(recording: Recording, robot: Robot) -> Iterator[str]:
 
 
 def _differences(one: Robot, other: Robot) -> Iterator[str]:
-    """Tell by what two descriptions differ that no calibration changes by as much."""
+    """Tell by what two descriptions differ that no calibration changes by as much.
+
+    Points are compared in the frame of measured poses, which a calibration may find tilted.
+    """
     if one.n != other.n:
         yield f"the number of cables ({one.n}, {other.n})"
         return
     for what, points, others in (
-        ("exit points", one.exit_points, other.exit_points),
+        ("exit points", one.exit_points @ turn_between(one, other).T, other.exit_points),
         ("anchor points", one.anchor_points, other.anchor_points),
     ):
         apart = float(np.linalg.norm(points - others, axis=1).max())
@@ -71,8 +77,8 @@ def _measured_points(recording: Recording, robot: Robot) -> Iterator[str]:
     points = recording.exit_points
     if points is None or points.shape != robot.exit_points.shape:
         return
-    apart = float(np.linalg.norm(points - robot.exit_points, axis=1).max())
-    if apart > POINT_RATIO_MAX * Scales(robot).length:
+    apart = exit_point_distance(calibrated(recording, robot), robot)
+    if apart is not None and apart > POINT_RATIO_MAX * Scales(robot).length:
         yield (
             "This is a recording of another robot: the exit points measured in it lie up to "
             f"{apart:.3g} m from those of {robot.name}."

@@ -110,7 +110,10 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
 
 
 def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
-    """Return the largest distance of a measured exit point from the robot's [m], or None."""
+    """Return the largest distance of a measured exit point from the robot's [m], or None.
+
+    The recording is in W of the robot; see `calibrated`.
+    """
     if recording.exit_points is None:
         return None
     return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())

@@ -11,6 +11,7 @@ import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.robot.parameters import turn_between, with_values
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.another_robot import another_robot
 
@@ -22,6 +23,14 @@ def test_the_robot_of_a_recording_is_not_doubted_nor_is_a_calibrated_one():
     assert another_robot(RECORDING, ROBOT) == ()
     near = replace(ROBOT, exit_points=ROBOT.exit_points + 0.03, mass=1.1 * ROBOT.mass)
     assert another_robot(RECORDING, near) == ()
+
+
+def test_a_robot_whose_pose_frame_was_found_tilted_is_not_another_one():
+    turned = with_values(ROBOT, ["pose_tilt.x", "pose_tilt.y"], np.array([0.05, -0.03]))
+    turned = replace(turned, exit_points=ROBOT.exit_points @ turn_between(ROBOT, turned).T)
+    assert np.abs(turned.exit_points - ROBOT.exit_points).max() > 0.3
+    measured = replace(RECORDING, exit_points=ROBOT.exit_points)
+    assert another_robot(measured, turned) == ()
 
 
 def test_a_recording_that_names_another_robot_is_told_with_the_differences():
