@@ -1,4 +1,4 @@
-"""Length readings in time: between them straight, after the last one for a while as before."""
+"""Length readings in time: smooth between them, after the last one for a while as before."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled, resolved
+from carosac_toolkit.physics.motion.length_curve import (
+    LENGTH_SEGMENT_MAX,
+    curved_length,
+    segment_ends,
+)
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -28,12 +33,14 @@ class ReadingTolerances:
         return_time: In which a fault that ends has ended [s].
         jitter: By which a reading may miss the expectation [m].
         slip_deviation: Of the estimated slip of an encoder [m].
+        segment: Between two readings, beyond which the path is not straight [s].
     """
 
     extrapolation_time: float = Scaled(0.1, "s")
     return_time: float = Scaled(2.0, "s")
     jitter: float = Scaled(5e-3, "m")
     slip_deviation: float = Scaled(5e-3, "m")
+    segment: float = LENGTH_SEGMENT_MAX
 
 
 def reading_tolerances(robot: Robot, noise: float) -> ReadingTolerances:
@@ -217,13 +224,16 @@ class LengthReadings:
         k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
         if len(self.time) == 1 or time <= self.time[0]:
             return np.asarray(self.length[0])
+        if k > 1 and self.time[k] - self.time[k - 1] > self.tolerances.segment:
+            return curved_length(self.time[k - 2 : k + 1], self.length[k - 2 : k + 1], time)
         share = (time - self.time[k - 1]) / (self.time[k] - self.time[k - 1])
         return np.asarray(self.length[k - 1] + share * (self.length[k] - self.length[k - 1]))
 
     def knots(self, start: float, end: float, short: float) -> list[float]:
-        """Return the times at which the path bends between two others [s], with the end.
+        """Return the times between two others at which the path bends [s], with the end.
 
-        Where those are no farther apart than `short` [s], the bend is lost in the noise.
+        Where those are no farther apart than `short` [s], the bend is lost in the noise. A path
+        that is curved is cut into segments that are straight enough.
         """
         if end - start <= short:
             return [end]
@@ -231,4 +241,7 @@ class LengthReadings:
             (self.time > start + READING_INTERVAL_MIN_S)
             & (self.time < end - READING_INTERVAL_MIN_S)
         ]
-        return [*inside.tolist(), end]
+        ends: list[float] = []
+        for stop in (*inside.tolist(), end):
+            ends += segment_ends(ends[-1] if ends else start, stop, self.tolerances.segment)
+        return ends

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.motion.length_curve import curved_length, segment_ends
 
 PIECE_DURATION_MIN_S = 1e-9  # less is rounding
 
 
 class DelayedLengths:
-    """Lengths, interpolated linearly between measurements, `delay` after these."""
+    """Lengths, interpolated between measurements, `delay` after these.
 
-    def __init__(self, lengths: Array, delay: float) -> None:
+    Between two measurements that are close together they go straight, else on the parabola through
+    the one before as well, in straight segments.
+    """
+
+    def __init__(self, lengths: Array, delay: float, segment: float) -> None:
         """Start at rest at the first lengths.
 
         Args:
             lengths: [m], shape (B, n).
             delay: [s].
+            segment: Longest straight one [s].
         """
         self._delay = delay
+        self._segment = segment
         self._measured = 0.0  # time of the newest measurement, since the first [s]
         self._reached = lengths
+        self._past: deque[tuple[float, Array]] = deque(maxlen=2)  # last two that took effect
         self._pending: deque[tuple[float, Array]] = deque([(delay, lengths)])
 
     def advance(self, step: float, lengths: Array) -> list[tuple[float, Array]]:
@@ -40,14 +50,27 @@ class DelayedLengths:
         self._pending.append((end + self._delay, lengths))
         pieces: list[tuple[float, Array]] = []
         while self._pending and self._pending[0][0] <= end + PIECE_DURATION_MIN_S:
-            when, target = self._pending.popleft()
+            when, target = self._pending[0]
             if when - now > PIECE_DURATION_MIN_S:
-                pieces.append((when - now, target))
+                pieces += self._pieces(now, when)
                 now = when
             self._reached = target
+            self._past.append(self._pending.popleft())
         if end - now > PIECE_DURATION_MIN_S:
-            when, target = self._pending[0]
-            share = (end - now) / (when - now)
-            self._reached = self._reached + share * (target - self._reached)
-            pieces.append((end - now, self._reached))
+            pieces += self._pieces(now, end)
         return pieces or [(step, self._reached)]
+
+    def _pieces(self, now: float, end: float) -> list[tuple[float, Array]]:
+        """Return the pieces towards the next lengths, from a time to another [s]."""
+        when, target = self._pending[0]
+        samples = (*self._past, (when, target))
+        if len(samples) == 3 and when - samples[1][0] > self._segment:
+            time, length = (np.array(column) for column in zip(*samples, strict=True))
+            ends = segment_ends(now, end, self._segment)
+            reached = [curved_length(time, length, stop) for stop in ends]
+        else:
+            share = (end - now) / (when - now)
+            ends = [end]
+            reached = [target if end == when else self._reached + share * (target - self._reached)]
+        self._reached = reached[-1]
+        return list(zip(np.diff([now, *ends]).tolist(), reached, strict=True))

@@ -13,7 +13,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.motion.length_curve import LENGTH_SEGMENT_MAX
 from carosac_toolkit.physics.rest.held_lengths import pose_on_lengths
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.delayed_lengths import DelayedLengths
 from sim_warp.options import CableOptions
@@ -69,10 +71,10 @@ class SimulationRecord:
 class SimulatorEstimator:
     """Open-loop estimator: cables wound as measured move the platform, from rest or `reset_moving`.
 
-    Lengths change linearly between measurements, without winches; poses, commands and all other
-    sensors are not used. Where a simulation fails, the belief keeps the last valid pose,
-    ``belief.memory``, a `SimulationRecord`, counts it, and the platform starts again at rest on
-    the measured lengths.
+    Between measurements lengths go smoothly, without winches (`DelayedLengths`); poses, commands
+    and all other sensors are not used. Where a simulation fails, the belief keeps the last valid
+    pose, ``belief.memory``, a `SimulationRecord`, counts it, and the platform starts again at rest
+    on the measured lengths.
 
     The simulation continues from its own state, not from the belief passed to `update`: each belief
     can be updated once, and `reset` starts again.
@@ -102,7 +104,8 @@ class SimulatorEstimator:
         if self._simulator is None or self._simulator.size != size:
             options = self._settings.simulator_options
             self._simulator = Simulator(self._robot, worlds=size, **options)
-        self._delayed = DelayedLengths(lengths, self._delay)
+        segment = LENGTH_SEGMENT_MAX.of(Scales(self._robot).ratios)
+        self._delayed = DelayedLengths(lengths, self._delay, segment)
         self._time = measurement.time
         self._lost = np.zeros(size, dtype=np.bool_)  # worlds without a valid state
         valid = self._start_at_rest(np.ones(size, dtype=np.bool_), lengths)

@@ -18,11 +18,10 @@ from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.motion.length_curve import LENGTH_SEGMENT_MAX, segment_ends
 from carosac_toolkit.physics.scales import Scales
 
 CONSTANT_NOISE_RATIO = Scaled(1e-4, "1/sqrt(s)")  # of the scale of an error
-# Over which lengths go straight: a twentieth of a quick sway.
-LENGTH_SEGMENT_MAX = Scaled(0.05, "s")
 SWAY_SCALE = Scaled(0.01, "m")  # of the errors of the centre of mass
 SWAY_RATE_SCALE = Scaled(3.0, "1/s")  # of the errors of its speed, over those
 # Of errors that the settings take as known.
@@ -129,9 +128,8 @@ class ForwardModel:
         """Move a state to the next key frame."""
         size = self._model.errors.size
         carry, noise, imu, expected = np.eye(size), np.zeros((size, size)), None, None
-        count = max(1, int(np.ceil((end - state.time) / self._segment - 1e-6)))
-        stops = np.linspace(state.time, end, count + 1)
-        for start, stop in pairwise(stops.tolist()):
+        stops = [state.time, *segment_ends(state.time, end, self._segment)]
+        for start, stop in pairwise(stops):
             reading = self._measured.reading(start, delay), self._measured.reading(stop, delay)
             move = self._model.step(state, *reading, stop - start)
             step, keep = self._sensors.carried(move, stop - start)

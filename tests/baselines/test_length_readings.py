@@ -94,3 +94,19 @@ def test_encoders_of_winches_that_rest_may_slip_one_alone_that_stood_still_came_
         one_stuck = one_stuck.taken(k * PERIOD, stuck, ROBOT, JUMP, 0.0)
     assert all_rest.slid == pytest.approx(SLIP, abs=1e-9)
     assert not one_stuck.slid.any()
+
+
+def test_rare_readings_are_joined_by_what_a_winch_can_do():
+    """Constant acceleration between readings 0.25 s apart is followed, in short segments."""
+    moves = np.array([0.5, -0.4, 0.3, 0.1])
+
+    def true(time: float) -> np.ndarray:
+        return 6.0 + moves * (0.4 * time - 0.5 * time**2)
+
+    found = LengthReadings.first(0.0, true(0.0), TOLERANCES)
+    for k in range(1, 5):
+        found = found.taken(0.25 * k, true(0.25 * k), ROBOT, JUMP, 0.0)
+    ends = found.knots(0.5, 1.0, 0.02)
+    assert ends[-1] == 1.0 and np.diff([0.5, *ends]).max() <= TOLERANCES.segment + 1e-9
+    for time in ends:
+        assert found.at(time) == pytest.approx(true(time), abs=1e-9)

@@ -117,7 +117,7 @@ def test_delayed_lengths_are_those_of_a_straight_interpolation(delay):
     rng = np.random.default_rng(1)
     time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.005, 0.03, 40))])
     lengths = 5.0 + rng.standard_normal((41, 2))
-    path = DelayedLengths(lengths[:1], delay)
+    path = DelayedLengths(lengths[:1], delay, segment=0.03)
     now = 0.0
     for k in range(1, 41):
         for duration, reached in path.advance(time[k] - time[k - 1], lengths[k : k + 1]):
@@ -125,6 +125,22 @@ def test_delayed_lengths_are_those_of_a_straight_interpolation(delay):
             now += duration
             wanted = [np.interp(now - delay, time, column) for column in lengths.T]
             assert reached[0] == pytest.approx(wanted, abs=1e-9)
+        assert now == pytest.approx(time[k], abs=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.033, 0.3])
+def test_rare_lengths_that_accelerate_are_followed_in_short_segments(delay):
+    time = np.cumsum([0.0, 0.2, 0.25, 0.3, 0.2, 0.25, 0.25])
+    lengths = 5.0 + 0.3 * time - 0.4 * time**2
+    path = DelayedLengths(lengths[:1, None], delay, segment=0.05)
+    now = 0.0
+    for k in range(1, len(time)):
+        for duration, reached in path.advance(time[k] - time[k - 1], lengths[k : k + 1, None]):
+            now += duration
+            then = now - delay
+            if then > time[1]:  # from the third sample on the acceleration is known
+                assert duration <= 0.05 + 1e-9
+                assert reached == pytest.approx(5.0 + 0.3 * then - 0.4 * then**2, abs=1e-9)
         assert now == pytest.approx(time[k], abs=1e-12)
 
 
