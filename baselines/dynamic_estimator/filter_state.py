@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.sway_basis import SwayBasis
 from carosac_toolkit.base.arrays import Array
@@ -61,6 +63,8 @@ class DynamicFilterState:
         sway: The coordinates that it refers to.
         tension: At the platform [N], shape (n,).
         exit_tension: Tension vectors at the exits [N], shape (n, 3).
+        bristles: Bend of the bristles of dry friction, as `Motions` has it, shape (n,); None:
+            unknown, where nothing has moved yet.
     """
 
     time: float
@@ -77,6 +81,7 @@ class DynamicFilterState:
     sway: SwayBasis
     tension: Array
     exit_tension: Array
+    bristles: NDArray[Any] | None = None
 
     @property
     def errors(self) -> Errors:

@@ -128,6 +128,7 @@ class DynamicModel:
             twist=state.twist + change[:, where.speed] @ sway.ways.T,
             force=np.hstack([state.wind + change[:, where.wind], np.zeros((size, 1))]),
             exit_tension=np.tile(state.exit_tension, (size, 1, 1)),
+            bristles=None if state.bristles is None else np.tile(state.bristles, (size, 1)),
         )
         mass = self.robot.mass * np.exp(state.log_mass + change[:, where.mass.start])
         bias = state.length_bias + change[:, where.bias]
@@ -145,6 +146,7 @@ class DynamicModel:
             twist=ends.twist[0],
             tension=ends.tension[0],
             exit_tension=np.asarray(ends.exit_tension)[0],
+            bristles=None if ends.bristles is None else ends.bristles[0],
             sway=sway_at(self.robot, ends.position[0], ends.rotation[0], length),
         )
 

@@ -1,7 +1,8 @@
-"""Readings of calibrated length sensors: reading = scale * unstrained length + offset.
+"""Readings of calibrated length sensors: reading = scale * wound length + offset.
 
 Inside the toolkit every length is material. Readings live at its edge: a recording holds them as
-they were, and whoever plays or scores it converts them by the robot that it is given.
+they were, and whoever plays or scores it converts them by the robot that it is given. The wound
+length is the unstrained length, but for the hysteresis of a winch.
 """
 
 from __future__ import annotations
@@ -19,19 +20,31 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def is_calibrated(robot: Robot) -> bool:
-    """Return True if the robot has a calibration of its length sensors."""
-    return robot.length_offset is not None or robot.length_scale is not None
+    """Return True if the robot knows more of its lengths than that they are what is read."""
+    known = robot.length_offset is not None or robot.length_scale is not None
+    return known or bool(robot.length_hysteresis.any())
 
 
 def unstrained_lengths(robot: Robot, reading: Array) -> Array:
-    """Return unstrained lengths [m] of readings [m]; shapes (..., n)."""
+    """Return unstrained lengths [m] of readings [m], hysteresis aside; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     return (reading - offset) / scale
 
 
+def paid_out_lengths(robot: Robot, reading: Array) -> Array:
+    """Return unstrained lengths [m] of readings in time [m], shapes (K, n), hysteresis included.
+
+    The first are in the middle of the hysteresis of their winches.
+    """
+    from carosac_toolkit.physics.motion.winch import lagging_lengths
+
+    wound = unstrained_lengths(robot, reading)
+    return lagging_lengths(wound[:, None], robot.length_hysteresis[None])[:, 0]
+
+
 def readings(robot: Robot, unstrained_length: Array) -> Array:
-    """Return readings [m] of unstrained lengths [m]; shapes (..., n)."""
+    """Return readings [m] of unstrained lengths [m], hysteresis aside; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     return scale * unstrained_length + offset
@@ -60,7 +73,7 @@ def calibrated(recording: Recording, robot: Robot) -> Recording:
         metadata = replace(metadata, length_kind="unstrained")
     return replace(
         recording,
-        unstrained_length=unstrained_lengths(robot, recording.unstrained_length),
+        unstrained_length=paid_out_lengths(robot, recording.unstrained_length),
         length_rate=None if rate is None else Stamped(time=rate.time, value=rate.value / scale),
         command=None if command is None else _material(robot, command),
         poses=_turned_poses(robot, recording.poses),

@@ -72,6 +72,20 @@ def test_every_channel_is_converted_and_nothing_else_changes():
     assert_same(replace(converted, **untouched), clean)  # time stamps, IMU, tensions
 
 
+def test_hysteresis_is_taken_off_as_the_winches_wind():
+    """After long winding one way a cable is shorter than was read by it, then longer."""
+    clean = full_recording()
+    there = np.linspace(0.0, 1.0, len(clean.time) // 2)
+    way = np.concatenate([there, there[::-1], np.zeros(len(clean.time) - 2 * len(there))])
+    read = replace(clean, unstrained_length=clean.unstrained_length[:1] + way[:, None])
+    hysteresis = np.array([0.002, 0.0, 0.001, 0.004])
+    found = calibrated(read, simple_robot(length_hysteresis=hysteresis)).unstrained_length
+    late = read.unstrained_length - found
+    assert late[0] == pytest.approx(0.0, abs=1e-15)
+    assert late[len(there) - 1] == pytest.approx(hysteresis, rel=1e-6)
+    assert late[2 * len(there) - 1] == pytest.approx(-hysteresis, rel=1e-6)
+
+
 def test_absent_channels_stay_absent():
     bare = full_recording(length_rate=None, command=None, poses=None, exit_points=None)
     converted = calibrated(bare, simple_robot(**SENSORS))

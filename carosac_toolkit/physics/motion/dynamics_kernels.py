@@ -332,6 +332,8 @@ class Freed:
     force: wp.array(dtype=wp.vec3d)  # on the centre of mass, held from now on [N]
     unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
     rate: wp.array2d(dtype=wp.float64)  # of the lengths [m/s]
+    bristles: wp.array2d(dtype=Bristles)  # of dry friction
+    bent: wp.array(dtype=int)  # 1 where these are known; 0: as if it had been sliding
 
 
 @wp.kernel
@@ -368,6 +370,8 @@ def release(
         winch.wound_rate = freed.rate[b, i]
         worlds.winch[b, i] = winch
         start_anchor(plants, worlds, b, row, i)
+        if freed.bent[b] == 1:
+            worlds.bristles[b, i] = freed.bristles[b, i]
     scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()

@@ -1,7 +1,8 @@
 """Motion from any state through any lengths: the dynamics as filters need them.
 
 The dynamics of `carosac_toolkit.physics.motion.dynamics` for many states of one robot at once.
-Nothing is remembered from call to call: the same arguments give the same motion.
+Nothing is remembered from call to call: the same arguments give the same motion. What dry friction
+remembers is handed on with a motion.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import dynamics_kernels
 from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
+from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
 from carosac_toolkit.physics.scales import Scales
@@ -41,6 +43,8 @@ class Motions:
         force: On the centre of mass in W, held all the time [N], shape (B, 3).
         exit_tension: Tension vectors at the exits, from which the shapes of the cables are looked
             for [N], shape (B, n, 3); None: from a guess, which takes several times as long.
+        bristles: Bend of the bristles of dry friction (`friction_kernels.Bristles`) from an earlier
+            motion, shape (B, n); None: as if the platform had been sliding at this twist.
     """
 
     position: Array
@@ -48,6 +52,7 @@ class Motions:
     twist: Array
     force: Array
     exit_tension: Array | None = None
+    bristles: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,9 +112,12 @@ class Propagation:
         )
         self._freed = _allocate(size, robot.n, device)
         self._buffers = Buffers(device, {})
-        for name in ("position", "rotation", "twist", "force", "unstrained_length", "rate"):
+        for name in (
+            "position", "rotation", "twist", "force", "unstrained_length", "rate", "bristles",
+            "bent",
+        ):  # fmt: skip
             self._buffers.add(name, getattr(self._freed, name))
-        for name in ("position", "rotation", "twist"):
+        for name in ("position", "rotation", "twist", "bristles"):
             self._buffers.add(f"end_{name}", getattr(self._worlds, name))
         self._buffers.add("exit_tension", self._dynamics.hung.q)
         for name in ("command", "acceleration", "tension", "failed"):
@@ -149,6 +157,9 @@ class Propagation:
             put("rate", (end_length - unstrained_length) / duration)
             put("command", end_length)
             put("exit_tension", np.zeros(3) if start.exit_tension is None else start.exit_tension)
+            put("bent", np.array(start.bristles is not None, dtype=np.int32))
+            if start.bristles is not None:
+                put("bristles", start.bristles)
             self._let_go(h)
             self._dynamics.advance(True, count, h)
             return Arrived(
@@ -157,6 +168,7 @@ class Propagation:
                 twist=get("end_twist"),
                 force=start.force,
                 exit_tension=get("exit_tension"),
+                bristles=get("end_bristles"),
                 acceleration=get("acceleration"),
                 tension=get("tension"),
                 failed=get("failed") > 0,
@@ -186,4 +198,6 @@ def _allocate(size: int, n: int, device: str) -> Any:
     out.force = wp.zeros(size, dtype=wp.vec3d, device=device)
     out.unstrained_length = wp.zeros((size, n), dtype=wp.float64, device=device)
     out.rate = wp.zeros((size, n), dtype=wp.float64, device=device)
+    out.bristles = wp.zeros((size, n), dtype=Bristles, device=device)
+    out.bent = wp.zeros(size, dtype=wp.int32, device=device)
     return out

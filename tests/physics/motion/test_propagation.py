@@ -72,6 +72,29 @@ def test_pieces_of_a_motion_are_the_whole(robot, rest):
     assert now.twist[:, :3] == pytest.approx(state.twist[:, :3], abs=0.05)
 
 
+def test_pieces_of_a_motion_with_dry_friction_are_the_whole(robot, rest):
+    """Bristles are handed on: a platform that turns back rubs as one that was never let go anew."""
+    dry = replace(robot, exit_friction=np.full(4, 0.05), anchor_friction=np.full(4, 0.01))
+    kick = 0.2 * natural_modes(dry, rest).shape[0, :, 0][None]
+    length = rest.unstrained_length
+    sims = [Simulator(each, cables="catenary", time_step=2e-3) for each in (dry, robot)]
+    pieces = Propagation(dry, 1)
+    now = forgetful = let_go(rest, kick)
+    for sim in sims:
+        sim.reset(POINT, twist=kick)
+    away = {"handed on": 0.0, "forgotten": 0.0, "none": 0.0}
+    for _ in range(100):
+        now = pieces.run(now, length, length, 0.05)
+        forgetful = pieces.run(replace(forgetful, bristles=None), length, length, 0.05)
+        for sim in sims:
+            sim.follow(length, 0.05)
+        there = [sim.state.numpy().position for sim in sims]
+        for name, here in zip(away, (now.position, forgetful.position, there[1]), strict=True):
+            away[name] = max(away[name], float(np.abs(here - there[0]).max()))
+    assert away["handed on"] < 0.1 * away["none"]
+    assert away["handed on"] < 0.3 * away["forgotten"]
+
+
 def test_sway_has_the_natural_frequency(robot, rest):
     modes = natural_modes(robot, rest)
     period = 1.0 / modes.frequency[0, 0]
