@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "baselines": {"carosac_toolkit"},
     "sim_warp": {"carosac_toolkit"},
     "learned": {"carosac_toolkit", "sim_warp"},
-    "calibration": {"carosac_toolkit", "sim_warp"},
+    "calibration": {"carosac_toolkit", "sim_warp", "baselines"},
 }
 # The core's subpackages from the bottom to the top. Each imports only from lines before its own;
 # those on one line do not know one another. `docs/developing.md` says what lives in each.

@@ -73,7 +73,7 @@ class DynamicFilter:
         """
         move = self._model.step(state, reading, end, duration)
         carry, keep = self._sensors.carried(move, duration)
-        matrix = carry @ state.covariance @ carry.T + self._noise(duration, keep)
+        matrix = carry @ state.covariance @ carry.T + self.noise(duration, keep)
         arrived = replace(
             move.state,
             wind=keep * state.wind,
@@ -120,7 +120,7 @@ class DynamicFilter:
         own = measurement.by @ cross + measurement.noise
         return self._corrected(state, cross, own, measurement.residual)
 
-    def _noise(self, duration: float, keep: float) -> Array:
+    def noise(self, duration: float, keep: float) -> Array:
         """Return the covariance that a step adds; a share `keep` of the wind remains."""
         where, s = self._model.errors, self._settings
         spread = np.zeros(where.size)

@@ -58,8 +58,6 @@ class DynamicModel:
 
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
         """Allocate for a robot of n cables."""
-        import pinocchio
-
         self.robot = robot
         self.errors = Errors(robot.n, cells=settings.load_cells)
         where, ratios = self.errors, Scales(robot).ratios
@@ -74,7 +72,7 @@ class DynamicModel:
             replace(robot, axial_damping=damping), 1 + where.moving, time_step=settings.time_step
         )
         self._lever = np.array(settings.imu_position)
-        self._mount = pinocchio.exp3(np.array(settings.imu_rotation))
+        self._mount = turns(np.array([settings.imu_rotation]))[0]
 
     def step(
         self, state: DynamicFilterState, reading: Array, end: Array, duration: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from carosac_toolkit.base.arrays import frozen_array
 from carosac_toolkit.base.errors import InvalidField
@@ -23,6 +24,11 @@ class DynamicEstimatorSettings:
     ``carosac``. Those of the IMU are the same for every robot. Noise and bias of encoders, load
     cells and poses are as in `SensorSettings`: smaller on smaller robots, not larger on larger
     ones. All others that have a unit scale with the robot. 0 takes a quantity as known.
+
+    A robot that was identified says how far its model is off (`Robot.model_error`): this takes the
+    place of the defaults of `exit_error`, `wind_force`, `acceleration_noise`, `position_noise` and
+    `rotation_noise`, and what was identified with it counts as known: `mass`, `center_of_mass`,
+    `encoder_bias` and `length_bias_walk` are 0 by default.
 
     Attributes:
         mass: Logarithm of the platform's mass over that of the robot file.
@@ -77,7 +83,7 @@ class DynamicEstimatorSettings:
         gap_max: Time between two measurements beyond which the platform is hung anew [s].
     """
 
-    mass: float = 0.03
+    mass: float = Scaled(0.03, "1")
     center_of_mass: float = Scaled(0.01, "m")
     encoder_bias: float = Scaled(5e-3, "m", most=5e-3)
     exit_error: float = Scaled(4.898979485566357e-3, "m")  # 7 mm with the bias
@@ -91,7 +97,7 @@ class DynamicEstimatorSettings:
     wind_time: float = Scaled(2.0, "s")
     start_speed: float = Scaled(0.02, "m/s")
     acceleration_noise: float = Scaled(0.005, "m/s/sqrt(s)")
-    stretch_damping: float = Scaled(0.04, "s")
+    stretch_damping: float = Scaled(0.01, "s")
     tension_noise: float = 0.4
     vibration: float = Scaled(0.2, "m/s^2")
     angular_vibration: float = Scaled(0.02, "rad/s")
@@ -106,7 +112,7 @@ class DynamicEstimatorSettings:
     load_cell_bias: float = Scaled(1.0, "N", most=1.0)
     tension_vibration: float = 0.05
     position_noise: float = Scaled(1e-3, "m", most=1e-3)
-    rotation_noise: float = 0.5e-3
+    rotation_noise: float = Scaled(0.5e-3, "rad")
     gate: float = 6.0
     reading_jump: float = Scaled(0.05, "m")
     delay: float | None = None
@@ -144,9 +150,26 @@ class DynamicEstimatorSettings:
         return math.hypot(self.encoder_noise, self.stretch_vibration)
 
 
+def informed(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEstimatorSettings:
+    """Return settings with what a recording told of a robot in place of defaults."""
+    error = robot.model_error
+    if error is None:
+        return settings
+    told: dict[str, Any] = {
+        "exit_error": error.length,
+        "wind_force": error.force,
+        "acceleration_noise": error.acceleration,
+        "position_noise": error.position,
+        "rotation_noise": error.rotation,
+        **dict.fromkeys(("mass", "center_of_mass", "encoder_bias", "length_bias_walk"), 0.0),
+    }
+    left = {k: value for k, value in told.items() if isinstance(getattr(settings, k), Scaled)}
+    return replace(settings, **left)
+
+
 def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEstimatorSettings:
     """Return settings with the defaults of a robot in place of those of ``carosac``."""
-    here = resolved(settings, Scales(robot).ratios)
+    here = resolved(informed(robot, settings), Scales(robot).ratios)
     return replace(here, length_bias=here.bias_deviation, stretch_noise=here.stretch_deviation)
 
 

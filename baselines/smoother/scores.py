@@ -11,11 +11,15 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.smoother.arranged_recording import nearest
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.loop.consistency import normalised_square
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
-from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_poses
+from carosac_toolkit.validation.scores import (
+    PoseScores,
+    normalised_pose_squares,
+    rotation_angle,
+    score_poses,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,17 +56,13 @@ def score(
         covariance: Of pose and twist there, shape (S, 12, 12).
         settings: With the noise of measured poses.
     """
-    from scipy.spatial.transform import Rotation
-
     if measured.time is None:
         raise InvalidField("measured.time", None, "the times of the poses")
     resting = find_phases(recording.time, recording.unstrained_length).resting
     resting = resting[nearest(recording.time, measured.time)]
     error = estimate.position - measured.position
-    turned = measured.rotation @ estimate.rotation.swapaxes(1, 2)
-    turn = Rotation.from_matrix(turned).as_rotvec()
-    noise = np.repeat([settings.position_noise**2, settings.rotation_noise**2], 3)
-    square = normalised_square(np.hstack([-error, turn]), covariance[:, :6, :6] + np.diag(noise))
+    noise = settings.position_noise, settings.rotation_noise
+    square = normalised_pose_squares(measured, estimate, covariance[:, :6, :6], noise)
     angle = rotation_angle(measured.rotation, estimate.rotation)
     parts = {"all": np.ones(len(error), dtype=np.bool_), "moving": ~resting, "resting": resting}
     some = {name: mask for name, mask in parts.items() if mask.any()}

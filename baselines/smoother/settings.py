@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, settings_for
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, informed, settings_for
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 from carosac_toolkit.base.scaled import Scaled, resolved
@@ -63,5 +63,6 @@ class SmootherSettings:
 
 def smoother_settings_for(robot: Robot, settings: SmootherSettings) -> SmootherSettings:
     """Return settings with the defaults of a robot in place of those of ``carosac``."""
-    here = resolved(settings, Scales(robot).ratios)
+    told = replace(settings, dynamics=informed(robot, settings.dynamics))
+    here = resolved(told, Scales(robot).ratios)
     return replace(here, dynamics=settings_for(robot, here.dynamics))

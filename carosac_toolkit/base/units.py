@@ -36,6 +36,7 @@ _UNIT_TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "Hz": ("frequency", {"Hz": 1.0, "kHz": 1e3}),
     "m/s": ("speed", {"mm/s": 1e-3, "m/s": 1.0, "m/min": 1.0 / 60.0}),
     "m/s^2": ("acceleration", {"mm/s^2": 1e-3, "m/s^2": 1.0}),
+    "m/s^2/sqrt(Hz)": ("acceleration density", {"mm/s^2/sqrt(Hz)": 1e-3, "m/s^2/sqrt(Hz)": 1.0}),
     "rad/s": ("angular speed", {"deg/s": math.pi / 180.0, "rad/s": 1.0}),
     "N*s": ("damping force per strain rate", {"N*s": 1.0, "kN*s": 1e3}),
     "N*s/m": ("damping", {"N*s/m": 1.0, "kN*s/m": 1e3}),

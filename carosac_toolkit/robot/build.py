@@ -8,6 +8,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.hardware import AdsAddress, Hardware, ImuSource
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 
 if TYPE_CHECKING:
@@ -80,6 +81,9 @@ def build_robot(file: RobotFile) -> Robot:
         description=file.description,
         licence=file.licence,
         provenance=dict(file.provenance),
+        model_error=(
+            None if file.model_error is None else ModelError(**file.model_error.model_dump())
+        ),
         hardware=_hardware(file),
         **_calibration(file),
     )

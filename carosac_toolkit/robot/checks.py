@@ -25,7 +25,7 @@ _REFERENCED_SECTIONS: dict[str, FieldPath] = {
 }
 _PHYSICAL_SECTIONS = (
     "gravity", "frame", "platform", "cable_types", "winches", "chains", "tension_limits",
-    "workspace", "home", "sensors", "calibration",
+    "workspace", "home", "sensors", "calibration", "model_error",
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.model_error import MODEL_ERROR_UNITS, ModelError
 from carosac_toolkit.robot.robot import Robot
 
 SAME_VALUE_TOLERANCE = 1e-9  # relative difference that rounding to 12 digits leaves
@@ -29,6 +30,8 @@ def same(a: Any, b: Any) -> bool:
     """Return True if two fields are equal but for rounding."""
     if a is None or b is None:
         return a is b
+    if isinstance(a, ModelError) and isinstance(b, ModelError):
+        return all(same(getattr(a, name), getattr(b, name)) for name in MODEL_ERROR_UNITS)
     if isinstance(a, str | Mapping | Hardware) or (isinstance(a, tuple) and isinstance(b, tuple)):
         return bool(a == b)
     first, second = np.asarray(a), np.asarray(b)

@@ -23,7 +23,7 @@ DECIMALS = 14  # below them a number in SI units is rounding, such as 5.6e-17 in
 _NOT_OF_THE_MACHINE = (  # texts, where a run starts, uncertainty, sensors of recordings
     "name", "description", "licence", "provenance", "home_position", "home_rotation",
     "exit_covariance", "calibrated", "calibration_covariance", "length_offset", "length_scale",
-    "length_delay", "pose_rotation", "hardware",
+    "length_delay", "pose_rotation", "model_error", "hardware",
 )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from carosac_toolkit.base.arrays import Array, frozen_array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.npz import read_npz, write_npz
 from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.parameter_names import check_names
 
 
@@ -99,6 +100,7 @@ class Robot:
         calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`),
             k of them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
+        model_error: What the model misses, as a recording told; None: unknown.
         hardware: Connection to the real robot; None: not described.
         description: One line of text.
         licence: Terms under which the numbers may be used.
@@ -150,6 +152,7 @@ class Robot:
     pose_rotation: Array | None = None
     calibrated: tuple[str, ...] | None = None
     calibration_covariance: Array | None = None
+    model_error: ModelError | None = None
     hardware: Hardware | None = None
 
     def __post_init__(self) -> None:
@@ -212,12 +215,14 @@ class Robot:
 
         def build(rest: Any, arrays: dict[str, NDArray[Any]]) -> Robot:
             none = {name: np.zeros(1) for name in DRY_FIELDS}  # files older than these
-            record = {"hardware": None} | none | rest | arrays
+            record = {"hardware": None, "model_error": None} | none | rest | arrays
             unknown = set(record) ^ {each.name for each in fields(cls)}
             if unknown:
                 allowed = f"the fields of Robot; differing: {sorted(unknown)}"
                 raise InvalidField("path", path, allowed)
-            return cls(**record | {"hardware": Hardware.from_record(record["hardware"])})
+            hardware, error = Hardware.from_record(record["hardware"]), record["model_error"]
+            known = None if error is None else ModelError(**error)
+            return cls(**record | {"hardware": hardware, "model_error": known})
 
         return read_npz(path, "__fields__", "Robot.to_npz", build)
 

@@ -299,6 +299,16 @@ class SensorsInput(_Section):
     poses: PoseSensor | None = None
 
 
+class ModelErrorInput(_Section):
+    """What the model and the measured poses miss, one sigma; see `ModelError`."""
+
+    length: Distance
+    force: ForceOrZero
+    acceleration: Annotated[float, _reads("m/s^2/sqrt(Hz)", ">= 0")]
+    position: Extent
+    rotation: Annotated[float, _reads("rad", "> 0")]
+
+
 class Calibration(_Section):
     """Parameters that were estimated, and the lower triangle of their covariance."""
 
@@ -370,5 +380,6 @@ class RobotFile(_Section):
     home: Home
     sensors: SensorsInput | None = None
     calibration: Calibration | None = None
+    model_error: ModelErrorInput | None = None
     hardware: HardwareInput | None = None
     provenance: dict[str, Text]

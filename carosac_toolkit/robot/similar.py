@@ -10,6 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.numbers import check_positive
 from carosac_toolkit.base.scaled import Ratios
+from carosac_toolkit.robot.model_error import MODEL_ERROR_UNITS, ModelError
 from carosac_toolkit.robot.robot import Robot
 
 UNITS_BY_FIELD: Mapping[str, str] = {
@@ -49,6 +50,12 @@ def similar_robot(robot: Robot, factor: float) -> Robot:
         value = getattr(robot, name)
         if value is not None:
             changed[name] = value * ratios.of_unit(unit)
+    error = robot.model_error
+    if error is not None:
+        changed["model_error"] = ModelError(**{
+            name: getattr(error, name) * ratios.of_unit(unit)
+            for name, unit in MODEL_ERROR_UNITS.items()
+        })  # fmt: skip
     return replace(
         robot, **changed, name=f"{robot.name} x {factor:g}", hardware=None, calibrated=None,
         calibration_covariance=None,

@@ -19,6 +19,7 @@ from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.base.yaml import dump_yaml, round_trip
 from carosac_toolkit.robot.differences import SAME_VALUE_TOLERANCE, differing, same
 from carosac_toolkit.robot.file import parse_file, parse_robot
+from carosac_toolkit.robot.model_error import MODEL_ERROR_UNITS
 from carosac_toolkit.robot.parameter_names import unit_of
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
@@ -40,7 +41,7 @@ _WRITABLE_FIELDS = (
     *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_WINCH_PATHS, "exit_points", "exit_covariance",
     "anchor_points", "run_length", "mass", "center_of_mass", "inertia", "drag", "angular_drag",
     "length_offset", "length_scale", "length_delay", "pose_rotation", "calibrated",
-    "calibration_covariance", "provenance",
+    "calibration_covariance", "model_error", "provenance",
 )  # fmt: skip
 
 
@@ -108,6 +109,7 @@ class _Writer:
         self._sensors(changed)
         if "calibrated" in changed or "calibration_covariance" in changed:
             self._calibration()
+        self._model_error(changed)
 
     def _from(self, path: str, but: Sequence[str] = ()) -> None:
         """Record the source of a number.
@@ -320,6 +322,22 @@ class _Writer:
         section["covariance"] = [_flow(row[: i + 1]) for i, row in rows]
         self._from("calibration")
 
+    def _model_error(self, changed: set[str]) -> None:
+        """Write what the model misses, above the provenance."""
+        if "model_error" not in changed:
+            return
+        error, document = self._robot.model_error, self.document
+        document.pop("model_error", None)
+        self._drop_provenance("model_error")
+        if error is None:
+            return
+        section = CommentedMap(
+            {name: _with_unit(getattr(error, name), unit)
+             for name, unit in MODEL_ERROR_UNITS.items()}
+        )  # fmt: skip
+        document.insert(list(document).index("provenance"), "model_error", section)
+        self._from("model_error")
+
 
 def _covers(path: str, other: str) -> bool:
     """Return True if one path is another, or the start of it."""
@@ -355,7 +373,11 @@ def _number(value: float) -> float:
 def _quantity(field: str, value: float) -> str | float:
     """Format a number with its unit, as in the bundled files."""
     unit = unit_of(field)
-    return _number(value) if unit == "1" else f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
+    return _number(value) if unit == "1" else _with_unit(value, unit)
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
 
 
 def _flow(values: Sequence[float] | Array, digits: int = _SIGNIFICANT_DIGITS) -> CommentedSeq:

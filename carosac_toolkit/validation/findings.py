@@ -10,6 +10,7 @@ from carosac_toolkit.validation.plausibility import doubt_exit_points
 from carosac_toolkit.validation.quantities import say_length
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
+NEES_HONEST = (0.5, 2.0)  # per degree of freedom: what a model claims is about what it errs
 SWAY_MIN_M = 2e-3  # [m]: a smaller swing is not worth a sentence
 DELAY_MIN_S = 3e-3  # [s]
 DELAY_SIGMAS_MIN = 3.0  # standard deviations from none
@@ -36,6 +37,7 @@ def conclusions(result: ValidationResult) -> list[str]:
         return lines
     best = min(scored, key=_norm)
     lines += _ranking(best, scored)
+    lines += _claims(scored)
     reason = _no_causes(result, best)
     if reason is not None:
         return [*lines, reason]
@@ -95,6 +97,20 @@ def _doubts(result: ValidationResult) -> Iterator[str]:
         )
     if result.unscored:
         yield f"{result.unscored} samples have no measured pose nearby and were not scored."
+
+
+def _claims(scored: list[ModelResult]) -> Iterator[str]:
+    """Name models whose errors are not what they claim."""
+    for model in scored:
+        if model.nees is None or NEES_HONEST[0] <= model.nees <= NEES_HONEST[1]:
+            continue
+        sure = "too sure" if model.nees > 1.0 else "too cautious"
+        ratio = np.sqrt(max(model.nees, 1.0 / model.nees))
+        yield (
+            f"{model.name} is {sure} of its poses: its errors are "
+            f"{'larger' if model.nees > 1.0 else 'smaller'} than it claims, by a factor of about "
+            f"{ratio:.2g} (NEES {model.nees:.2g} per degree of freedom, 1 is honest)."
+        )
 
 
 def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:

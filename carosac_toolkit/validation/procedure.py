@@ -22,9 +22,15 @@ from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_f
 from carosac_toolkit.validation.first_motion import STATE_POSES_MIN, first_speed, first_state
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
+from carosac_toolkit.validation.pose_noise import measured_pose_noise
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
-from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
+from carosac_toolkit.validation.scores import (
+    normalised_pose_squares,
+    rotation_angle,
+    score_lengths,
+    score_poses,
+)
 
 SIX_CABLES = 6  # so many cables leave a platform no free direction
 DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
@@ -195,8 +201,23 @@ class _Scoring:
             delay=delay,
             rmse_without_delay=self._undelayed(error, angle, moving, delay.seconds),
             sway=find_sway(self._recording.time[self._index], rest_error, self._solved_rests(good)),
+            nees=self._nees(run, pose, good),
             update_time=float(np.median(run.seconds[1:] if len(run.seconds) > 1 else run.seconds)),
         )
+
+    def _nees(self, run: ModelRun, pose: Pose, good: NDArray[np.bool_]) -> float | None:
+        """Return how the errors compare with what the model claims; None if it claims nothing."""
+        if run.covariance is None:
+            return None
+        covariance = run.covariance[self._index]
+        some = good & np.isfinite(covariance).all(axis=(1, 2))
+        if not some.any():
+            return None
+        noise = measured_pose_noise(self._robot)
+        squares = normalised_pose_squares(
+            _rows(self._measured, some), _rows(pose, some), covariance[some], noise
+        )
+        return float(squares.mean())
 
     def _lengths(
         self, run: ModelRun, good: NDArray[np.bool_]
@@ -246,6 +267,11 @@ def _first_motion(recording: Recording, robot: Robot) -> Belief | None:
     if not (rest.converged & rest.stable).all():
         return None
     return first_state(robot, rest, time[rows], position, rotation)
+
+
+def _rows(pose: Pose, which: NDArray[np.bool_]) -> Pose:
+    """Return some of the poses."""
+    return Pose(position=pose.position[which], rotation=pose.rotation[which])
 
 
 def _kept(

@@ -50,6 +50,9 @@ class ModelResult:
         delay: Apparent delay, from the samples in motion.
         rmse_without_delay: RMSE of `moving`, in norm, corrected for that delay [m].
         sway: Swing of the error with winches at rest, or None where the rests are too short.
+        nees: Mean normalised square of the pose error over the covariance that the model claims,
+            per degree of freedom, noise of the measured poses included; 1 is honest, less too
+            cautious, more too sure. None for a model that claims none.
         update_time: Median wall time of an update [s].
     """
 
@@ -69,6 +72,7 @@ class ModelResult:
     delay: Delay | None = None
     rmse_without_delay: float = np.nan
     sway: RestSway | None = None
+    nees: float | None = None
     update_time: float = np.nan
 
     @property
@@ -97,6 +101,7 @@ class ModelResult:
             **self.delay.data(),
             "moving_rmse_without_delay_m": self.rmse_without_delay,
             "sway": self.sway.data() if self.sway else None,
+            "nees": self.nees,
             "median_update_s": self.update_time,
         }
 

@@ -25,6 +25,8 @@ class ModelRun:
         position: Platform origin in W [m], shape (K, 3).
         rotation: Rotation from P to W, shape (K, 3, 3).
         tension: At the platform [N], shape (K, n), NaN where it had none; None: it has no forces.
+        covariance: Of the pose, as beliefs have it, shape (K, 6, 6), NaN where it had none; None:
+            it claims none.
         converged: True where the model itself found a pose, shape (K,).
         moves: True if it estimated a twist.
         seconds: Wall time of each update [s], shape (K,); the first is the reset.
@@ -33,6 +35,7 @@ class ModelRun:
     position: Array
     rotation: Array
     tension: Array | None
+    covariance: Array | None
     converged: NDArray[np.bool_]
     moves: bool
     seconds: Array
@@ -89,6 +92,7 @@ def run_open_loop(
         position=np.concatenate([belief.position for belief in beliefs]),
         rotation=np.concatenate([belief.rotation for belief in beliefs]),
         tension=None if np.isnan(tension).all() else np.array(tension),
+        covariance=_covariances(beliefs),
         converged=np.array([_converged(belief) for belief in beliefs]),
         moves=any(belief.twist is not None for belief in beliefs),
         seconds=seconds,
@@ -114,6 +118,15 @@ def _tension(belief: Belief, n: int) -> Array:
         return np.full(n, np.nan)
     tension: Array = np.asarray(belief.tension, dtype=np.float64)[0]
     return tension
+
+
+def _covariances(beliefs: list[Belief]) -> Array | None:
+    """Return the covariances of the poses, shape (K, 6, 6), NaN where there is none."""
+    claimed = [belief.covariance for belief in beliefs]
+    if all(each is None for each in claimed):
+        return None
+    none = np.full((6, 6), np.nan)
+    return np.array([none if each is None else np.asarray(each)[0, :6, :6] for each in claimed])
 
 
 def _converged(belief: Belief) -> bool:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.consistency import normalised_square
+from carosac_toolkit.loop.values import Pose
 
 SCORE_AXES = ("x", "y", "z", "norm")
 
@@ -109,6 +111,29 @@ def score_lengths(error: Array) -> LengthScores:
     total = int(count.sum())
     rmse = float(np.sqrt((filled**2).sum() / total)) if total else np.nan
     return LengthScores(rmse=rmse, bias=bias, std=std, samples=count.astype(np.float64))
+
+
+def normalised_pose_squares(
+    measured: Pose, model: Pose, covariance: Array, noise: tuple[float, float]
+) -> Array:
+    """Return the normalised squares of pose errors per degree of freedom, shape (S,).
+
+    Args:
+        measured: S poses.
+        model: S poses.
+        covariance: Of the model's errors as in `Belief`, shape (S, 6, 6).
+        noise: Of the measured poses, per axis: positions [m] and rotations [rad].
+
+    Raises:
+        InvalidField: A covariance that is not positive definite.
+    """
+    from scipy.spatial.transform import Rotation
+
+    turned = measured.rotation @ model.rotation.swapaxes(1, 2)
+    turn = Rotation.from_matrix(turned).as_rotvec()
+    error = np.hstack([measured.position - model.position, turn])
+    own = np.diag(np.repeat(np.square(noise), 3))
+    return normalised_square(error, covariance + own)
 
 
 def rotation_angle(measured: Array, model: Array) -> Array:

@@ -15,10 +15,10 @@ PART_HEADER = (
 )  # fmt: skip
 PART_GROUPS = (2, 1, 4, 1, 4, 4)  # columns that stay together; the first are on every block
 CAUSE_HEADER = (
-    "model", "failures", "update [ms]", "length RMSE", "sag", "stretch", "delay x [ms]", "y", "z",
-    "sway",
+    "model", "failures", "update [ms]", "NEES", "length RMSE", "sag", "stretch", "delay x [ms]",
+    "y", "z", "sway",
 )  # fmt: skip
-CAUSE_GROUPS = (1, 2, 3, 3, 1)
+CAUSE_GROUPS = (1, 3, 3, 3, 1)
 
 
 def part_units(result: ValidationResult) -> str:
@@ -86,6 +86,7 @@ def _cause(model: ModelResult) -> tuple[str, ...]:
         model.name,
         str(model.failures),
         f"{model.update_time * 1e3:.3f}",
+        "-" if model.nees is None else f"{model.nees:.2g}",
         *(
             "-" if value is None or not np.isfinite(value) else say_length(value)
             for value in lengths

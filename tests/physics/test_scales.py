@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ import carosac_toolkit as ct
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_modes
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.similar import similar_robot, similarity, unscaled_fields
 
 ROBOTS = ("carosac", "scampi", "cogiro")
@@ -46,9 +49,18 @@ def test_rest_and_modes_of_a_similar_robot_are_similar(name, factor):
     )  # fmt: skip
 
 
+def test_what_a_model_misses_scales():
+    error = ModelError(length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3)
+    robot = replace(ct.load_robot("carosac"), model_error=error)
+    there, by = similar_robot(robot, 4.0).model_error, similarity(4.0)
+    assert (there.length, there.position, there.rotation) == pytest.approx((4e-3, 12e-3, 4e-3))
+    assert there.force == pytest.approx(0.1 * by.of_unit("N"))
+    assert there.acceleration == pytest.approx(2e-3 * by.of_unit("m/s/sqrt(s)"))
+
+
 def test_every_field_with_a_unit_scales():
     assert unscaled_fields() == {
         "name", "cable_names", "swivel_axis", "gravity", "home_rotation", "description", "licence",
         "provenance", "drum_gear", "drum_advantage", "length_scale", "pose_rotation", "hardware",
-        "calibrated", "calibration_covariance",
+        "calibrated", "calibration_covariance", "model_error",
     }  # fmt: skip

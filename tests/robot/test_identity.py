@@ -7,6 +7,7 @@ import carosac_toolkit as ct
 from carosac_toolkit.robot.file import parse_robot, robot_path, robot_text
 from carosac_toolkit.robot.hardware import AdsAddress, Hardware, ImuSource
 from carosac_toolkit.robot.identity import machine_hash
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import simple_robot
 
@@ -18,6 +19,9 @@ OTHER_VALUES = {
     "calibrated": ("mass",), "calibration_covariance": np.eye(1),
     "exit_covariance": np.broadcast_to(np.eye(3), (4, 3, 3)), "length_offset": np.ones(4),
     "length_scale": np.full(4, 1.1), "length_delay": 0.1, "pose_rotation": np.diag([-1, -1, 1]),
+    "model_error": ModelError(
+        length=1e-3, force=0.1, acceleration=1e-3, position=1e-3, rotation=1e-3
+    ),
     "home_position": ROBOT.home_position + 0.1, "home_rotation": np.diag([-1.0, -1.0, 1.0]),
 }  # fmt: skip
 

@@ -5,6 +5,7 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import MissingFile
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.robot import RigidBody, combine_bodies
 from tests.robots import simple_robot
 
@@ -45,7 +46,8 @@ def test_combined_bodies_keep_the_moment_of_inertia_about_any_point():
 
 @pytest.mark.parametrize("name", ["carosac", "cogiro"])
 def test_npz_carries_a_robot_without_loss(tmp_path, name):
-    robot = ct.load_robot(name)
+    error = ModelError(length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3)
+    robot = replace(ct.load_robot(name), model_error=error)
     robot.to_npz(tmp_path / "robot.npz")
     back = ct.Robot.from_npz(tmp_path / "robot.npz")
     for field in robot.__dataclass_fields__:

@@ -10,6 +10,7 @@ from carosac_toolkit.base.yaml import load_yaml
 from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.differences import differing
 from carosac_toolkit.robot.file import parse_robot, robot_text
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.writer import robot_document
 
 SOURCE = "calibrated on a Sunday"
@@ -57,6 +58,9 @@ def other_numbers(robot, rng):
         @ np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]),
         calibrated=("mass", "axial_stiffness", "length_delay"),
         calibration_covariance=spread(rng, 1)[0] * np.outer([1.0, 1e6, 1e-3], [1.0, 1e6, 1e-3]),
+        model_error=ModelError(
+            length=1.234e-3, force=0.05, acceleration=6.7e-3, position=1.5e-3, rotation=3.1e-3
+        ),
         name="other",
         description="other numbers",
     )

@@ -8,6 +8,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.validation import validate
 from tests.robots import eight_cable_robot
 from tests.validation.models import NAME, Spying
@@ -239,3 +240,18 @@ def test_the_published_solvers_figures_on_the_real_recording(real_data, suffix):
     assert model.delay.seconds[1:] == pytest.approx([0.034, 0.034], abs=3e-3)
     assert (model.delay.explained[1:] > 0.7).all()
     assert model.sag < 1e-3
+
+
+def test_what_a_model_claims_is_held_against_its_errors():
+    """One that errs by nothing and claims centimetres is too cautious; one without claims has none.
+
+    The platform of the recording never sways, which the estimator does not know.
+    """
+    models = validate(perfect(), ROBOT, [KS, "dynamic_estimator"]).models
+    assert models[KS].nees is None and models[KS].data(ROBOT.cable_names)["nees"] is None
+    usual = models["dynamic_estimator"].nees
+    assert 0.0 < usual < 0.5
+    error = ModelError(length=1e-4, force=0.01, acceleration=1e-3, position=1e-3, rotation=5e-4)
+    informed = replace(ROBOT, model_error=error)
+    sure = validate(perfect(), informed, ["dynamic_estimator"])
+    assert sure.models["dynamic_estimator"].nees > 3.0 * usual

@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.validation.scores import (
+    normalised_pose_squares,
+    rotation_angle,
+    score_lengths,
+    score_poses,
+)
 
 
 def test_scores_of_known_errors():
@@ -37,3 +43,23 @@ def test_lengths_without_a_prediction_do_not_count():
     assert scores.std[0] == pytest.approx(1.0)
     assert scores.samples.tolist() == [2, 0]
     assert np.isnan(score_lengths(np.full((2, 2), np.nan)).rmse)
+
+
+def test_errors_as_large_as_claimed_have_squares_of_one():
+    """Errors drawn from a covariance in W, and seen with noisy poses, are as it says."""
+    rng = np.random.default_rng(0)
+    count, noise = 4000, (2e-3, 1e-3)
+    root = 1e-3 * rng.normal(size=(6, 6)) + 2e-3 * np.eye(6)
+    draw = rng.normal(size=(count, 6)) @ root.T
+    seen = draw + rng.normal(size=(count, 6)) * np.repeat(noise, 3)
+    turn = Rotation.random(count, rng=rng)
+    place = rng.normal(size=(count, 3))
+    model = Pose(position=place, rotation=turn.as_matrix())
+    measured = Pose(
+        position=place + seen[:, :3],
+        rotation=(Rotation.from_rotvec(seen[:, 3:]) * turn).as_matrix(),
+    )
+    claimed = np.tile(root @ root.T, (count, 1, 1))
+    squares = normalised_pose_squares(measured, model, claimed, noise)
+    assert squares.mean() == pytest.approx(1.0, abs=0.05)
+    assert normalised_pose_squares(measured, model, 4.0 * claimed, noise).mean() < 0.6
