@@ -23,7 +23,12 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.robot import Robot
 
-SOURCES = ("length", "force", "acceleration")  # fields of `ModelError` that move the platform
+SOURCES = (
+    "length",
+    "force",
+    "mass",
+    "acceleration",
+)  # fields of `ModelError` that move the platform
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +38,7 @@ class ErrorGrowth:
     Attributes:
         usual: What the estimator takes for granted of a robot that nobody identified.
         always: What it claims whatever the model misses: vibration of the stretch, and the start.
-        by_source: What each of `SOURCES` of the size in `usual` adds, shape (3, K, 6, 6).
+        by_source: What each of `SOURCES` of the size in `usual` adds, shape (4, K, 6, 6).
     """
 
     usual: ModelError
@@ -45,7 +50,7 @@ def usual_error(robot: Robot) -> ModelError:
     """Return what the estimator takes for granted of a robot that nobody identified."""
     usual = settings_for(replace(robot, model_error=None), DynamicEstimatorSettings())
     return ModelError(
-        length=usual.bias_deviation, force=usual.wind_force,
+        length=usual.bias_deviation, force=usual.wind_force, mass=usual.mass,
         acceleration=usual.acceleration_noise, position=usual.position_noise,
         rotation=usual.rotation_noise,
     )  # fmt: skip

@@ -26,9 +26,9 @@ class DynamicEstimatorSettings:
     ones. All others that have a unit scale with the robot. 0 takes a quantity as known.
 
     A robot that was identified says how far its model is off (`Robot.model_error`): this takes the
-    place of the defaults of `exit_error`, `wind_force`, `acceleration_noise`, `position_noise` and
-    `rotation_noise`, and what was identified with it counts as known: `mass`, `center_of_mass`,
-    `encoder_bias` and `length_bias_walk` are 0 by default.
+    place of the defaults of `mass`, `exit_error`, `wind_force`, `acceleration_noise`,
+    `position_noise` and `rotation_noise`, and what was identified with it counts as known:
+    `center_of_mass`, `encoder_bias` and `length_bias_walk` are 0 by default.
 
     Attributes:
         mass: Logarithm of the platform's mass over that of the robot file.
@@ -150,19 +150,31 @@ class DynamicEstimatorSettings:
         return math.hypot(self.encoder_noise, self.stretch_vibration)
 
 
-def informed(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEstimatorSettings:
-    """Return settings with what a recording told of a robot in place of defaults."""
+def informed(
+    robot: Robot, settings: DynamicEstimatorSettings, *, open_loop: bool = True
+) -> DynamicEstimatorSettings:
+    """Return settings with what a recording told of a robot in place of defaults.
+
+    Args:
+        robot: The robot.
+        settings: With defaults that are still `Scaled`.
+        open_loop: Take errors of lengths and body too; False: measured poses will tell them better.
+    """
     error = robot.model_error
     if error is None:
         return settings
     told: dict[str, Any] = {
         "exit_error": error.length,
         "wind_force": error.force,
+        "mass": error.mass,
         "acceleration_noise": error.acceleration,
         "position_noise": error.position,
         "rotation_noise": error.rotation,
-        **dict.fromkeys(("mass", "center_of_mass", "encoder_bias", "length_bias_walk"), 0.0),
+        **dict.fromkeys(("center_of_mass", "encoder_bias", "length_bias_walk"), 0.0),
     }
+    if not open_loop:
+        for name in ("mass", "center_of_mass", "exit_error", "encoder_bias", "length_bias_walk"):
+            del told[name]
     left = {k: value for k, value in told.items() if isinstance(getattr(settings, k), Scaled)}
     return replace(settings, **left)
 

@@ -63,6 +63,9 @@ class SmootherSettings:
 
 def smoother_settings_for(robot: Robot, settings: SmootherSettings) -> SmootherSettings:
     """Return settings with the defaults of a robot in place of those of ``carosac``."""
-    told = replace(settings, dynamics=informed(robot, settings.dynamics))
+    told = replace(
+        settings,
+        dynamics=informed(robot, settings.dynamics, open_loop=settings.poses == "withheld"),
+    )
     here = resolved(told, Scales(robot).ratios)
     return replace(here, dynamics=settings_for(robot, here.dynamics))

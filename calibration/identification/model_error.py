@@ -80,7 +80,7 @@ class Residuals:
         return Residuals(growth=growth, errors=self.errors[which], rotation=self.rotation[which])
 
     def parts(self) -> Array:
-        """Return covariances by `FIELDS`, each of the usual size, shape (5, K, 6, 6)."""
+        """Return covariances by `FIELDS`, each of the usual size, shape (6, K, 6, 6)."""
         usual, count = self.growth.usual, len(self.errors)
         position, rotation = np.zeros((2, 6))
         position[:3], rotation[3:] = usual.position**2, usual.rotation**2

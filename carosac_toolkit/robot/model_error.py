@@ -17,6 +17,7 @@ class ModelError:
     Attributes:
         length: Of each cable between encoder and platform, constant [m].
         force: On the platform along each horizontal axis, for a while at a time [N].
+        mass: Logarithm of the platform's mass, and of all that stretches the cables like it [1].
         acceleration: Density of accelerations of no duration, along each way to sway
             [m/s^2/sqrt(Hz)].
         position: Of measured poses, per axis [m].
@@ -25,6 +26,7 @@ class ModelError:
 
     length: float
     force: float
+    mass: float
     acceleration: float
     position: float
     rotation: float
@@ -33,11 +35,11 @@ class ModelError:
         """Refuse what is no standard deviation."""
         check_fields(
             self, positive=("position", "rotation"),
-            not_negative=("length", "force", "acceleration"),
+            not_negative=("length", "force", "mass", "acceleration"),
         )  # fmt: skip
 
 
 MODEL_ERROR_UNITS = {
-    "length": "m", "force": "N", "acceleration": "m/s^2/sqrt(Hz)", "position": "m",
+    "length": "m", "force": "N", "mass": "1", "acceleration": "m/s^2/sqrt(Hz)", "position": "m",
     "rotation": "rad",
 }  # fmt: skip

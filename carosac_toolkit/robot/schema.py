@@ -304,6 +304,7 @@ class ModelErrorInput(_Section):
 
     length: Distance
     force: ForceOrZero
+    mass: Annotated[float, _reads("1", ">= 0")]
     acceleration: Annotated[float, _reads("m/s^2/sqrt(Hz)", ">= 0")]
     position: Extent
     rotation: Annotated[float, _reads("rad", "> 0")]

@@ -372,11 +372,12 @@ def _number(value: float) -> float:
 
 def _quantity(field: str, value: float) -> str | float:
     """Format a number with its unit, as in the bundled files."""
-    unit = unit_of(field)
-    return _number(value) if unit == "1" else _with_unit(value, unit)
+    return _with_unit(value, unit_of(field))
 
 
-def _with_unit(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str | float:
+    if unit == "1":
+        return _number(value)
     return f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
 
 

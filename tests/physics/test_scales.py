@@ -50,7 +50,9 @@ def test_rest_and_modes_of_a_similar_robot_are_similar(name, factor):
 
 
 def test_what_a_model_misses_scales():
-    error = ModelError(length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3)
+    error = ModelError(
+        mass=0.02, length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3
+    )
     robot = replace(ct.load_robot("carosac"), model_error=error)
     there, by = similar_robot(robot, 4.0).model_error, similarity(4.0)
     assert (there.length, there.position, there.rotation) == pytest.approx((4e-3, 12e-3, 4e-3))

@@ -20,7 +20,7 @@ OTHER_VALUES = {
     "exit_covariance": np.broadcast_to(np.eye(3), (4, 3, 3)), "length_offset": np.ones(4),
     "length_scale": np.full(4, 1.1), "length_delay": 0.1, "pose_rotation": np.diag([-1, -1, 1]),
     "model_error": ModelError(
-        length=1e-3, force=0.1, acceleration=1e-3, position=1e-3, rotation=1e-3
+        mass=0.02, length=1e-3, force=0.1, acceleration=1e-3, position=1e-3, rotation=1e-3
     ),
     "home_position": ROBOT.home_position + 0.1, "home_rotation": np.diag([-1.0, -1.0, 1.0]),
 }  # fmt: skip

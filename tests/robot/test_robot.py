@@ -46,7 +46,9 @@ def test_combined_bodies_keep_the_moment_of_inertia_about_any_point():
 
 @pytest.mark.parametrize("name", ["carosac", "cogiro"])
 def test_npz_carries_a_robot_without_loss(tmp_path, name):
-    error = ModelError(length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3)
+    error = ModelError(
+        mass=0.02, length=1e-3, force=0.1, acceleration=2e-3, position=3e-3, rotation=4e-3
+    )
     robot = replace(ct.load_robot(name), model_error=error)
     robot.to_npz(tmp_path / "robot.npz")
     back = ct.Robot.from_npz(tmp_path / "robot.npz")

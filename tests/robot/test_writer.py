@@ -59,7 +59,12 @@ def other_numbers(robot, rng):
         calibrated=("mass", "axial_stiffness", "length_delay"),
         calibration_covariance=spread(rng, 1)[0] * np.outer([1.0, 1e6, 1e-3], [1.0, 1e6, 1e-3]),
         model_error=ModelError(
-            length=1.234e-3, force=0.05, acceleration=6.7e-3, position=1.5e-3, rotation=3.1e-3
+            mass=0.02,
+            length=1.234e-3,
+            force=0.05,
+            acceleration=6.7e-3,
+            position=1.5e-3,
+            rotation=3.1e-3,
         ),
         name="other",
         description="other numbers",

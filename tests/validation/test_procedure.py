@@ -251,7 +251,9 @@ def test_what_a_model_claims_is_held_against_its_errors():
     assert models[KS].nees is None and models[KS].data(ROBOT.cable_names)["nees"] is None
     usual = models["dynamic_estimator"].nees
     assert 0.0 < usual < 0.5
-    error = ModelError(length=1e-4, force=0.01, acceleration=1e-3, position=1e-3, rotation=5e-4)
+    error = ModelError(
+        mass=0.02, length=1e-4, force=0.01, acceleration=1e-3, position=1e-3, rotation=5e-4
+    )
     informed = replace(ROBOT, model_error=error)
     sure = validate(perfect(), informed, ["dynamic_estimator"])
     assert sure.models["dynamic_estimator"].nees > 3.0 * usual

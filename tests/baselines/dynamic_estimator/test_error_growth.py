@@ -9,11 +9,14 @@ import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.dynamic_estimator.error_growth import SOURCES, error_growth, usual_error
 from baselines.dynamic_estimator.settings import settings_for
+from baselines.smoother.settings import SmootherSettings, smoother_settings_for
 from carosac_toolkit.loop.values import Command, Measurement
 from carosac_toolkit.robot.model_error import ModelError
 
 TIME = np.arange(0.0, 4.0, 0.05)
-ERROR = ModelError(length=2e-3, force=0.4, acceleration=4e-3, position=2e-3, rotation=1e-3)
+ERROR = ModelError(
+    mass=0.02, length=2e-3, force=0.4, acceleration=4e-3, position=2e-3, rotation=1e-3
+)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +60,11 @@ def test_an_identified_robot_takes_the_place_of_defaults_but_not_of_what_the_use
     here = settings_for(told, DynamicEstimatorSettings())
     assert (here.length_bias, here.wind_force, here.acceleration_noise) == (2e-3, 0.4, 4e-3)
     assert (here.position_noise, here.rotation_noise) == (2e-3, 1e-3)
-    assert here.mass == here.length_bias_walk == 0.0
+    assert here.mass == 0.02 and here.center_of_mass == here.length_bias_walk == 0.0
     mine = settings_for(told, DynamicEstimatorSettings(wind_force=3.0, mass=0.03))
     assert (mine.wind_force, mine.mass, mine.acceleration_noise) == (3.0, 0.03, 4e-3)
+    seen = smoother_settings_for(told, SmootherSettings(poses="half")).dynamics
+    assert (seen.position_noise, seen.wind_force) == (2e-3, 0.4)
+    assert seen.length_bias_walk == 1e-3 and seen.mass == 0.03  # poses tell them
     before = settings_for(robot, DynamicEstimatorSettings())
     assert before.wind_force == usual_error(told).force == 3.0

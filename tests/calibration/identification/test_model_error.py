@@ -33,8 +33,12 @@ def drawn(nothing: Residuals, error: ModelError, seed: int) -> Residuals:
 @pytest.mark.parametrize(
     "error",
     [
-        ModelError(length=4e-3, force=0.3, acceleration=1e-3, position=1.5e-3, rotation=3e-3),
-        ModelError(length=1e-3, force=3.0, acceleration=1e-2, position=3e-4, rotation=2e-4),
+        ModelError(
+            mass=0.02, length=4e-3, force=0.3, acceleration=1e-3, position=1.5e-3, rotation=3e-3
+        ),
+        ModelError(
+            mass=0.02, length=1e-3, force=3.0, acceleration=1e-2, position=3e-4, rotation=2e-4
+        ),
     ],
 )
 def test_sizes_are_found_and_hold_for_other_draws(nothing, error, seed):
@@ -46,7 +50,9 @@ def test_sizes_are_found_and_hold_for_other_draws(nothing, error, seed):
 
 
 def test_poses_that_are_off_alone_blame_the_poses(nothing):
-    error = ModelError(length=0.0, force=0.0, acceleration=0.0, position=8e-3, rotation=9e-3)
+    error = ModelError(
+        mass=0.0, length=0.0, force=0.0, acceleration=0.0, position=8e-3, rotation=9e-3
+    )
     found = find_model_error([drawn(nothing, error, 3)])
     assert (found.position, found.rotation) == pytest.approx((8e-3, 9e-3), rel=0.1)
     assert found.force < 0.2 * nothing.growth.usual.force
