@@ -73,9 +73,25 @@ class DynamicEstimator:
 
     def reset(self, measurement: Measurement) -> Belief:
         """Hang the platforms at rest on the first lengths."""
+        return self._first_belief(measurement, self._at_rest(measurement))
+
+    def reset_moving(self, measurement: Measurement, first: Belief) -> Belief:
+        """Start on the first lengths from poses and twists at that time, one for each robot."""
+        tracks = tuple(
+            self._tracker.moving(track, measurement, row, first)
+            for row, track in enumerate(self._at_rest(measurement))
+        )
+        return self._first_belief(measurement, tracks)
+
+    def _at_rest(self, measurement: Measurement) -> tuple[Track, ...]:
+        """Return new tracks, at rest."""
         size = len(measurement.unstrained_length)
         measurement.lengths_of(size, self._robot.n)
-        tracks = tuple(self._tracker.start(measurement, row) for row in range(size))
+        return tuple(self._tracker.start(measurement, row) for row in range(size))
+
+    def _first_belief(self, measurement: Measurement, tracks: tuple[Track, ...]) -> Belief:
+        """Return the belief of new tracks."""
+        size = len(tracks)
         home = Belief(
             time=measurement.time,
             position=np.tile(self._robot.home_position, (size, 1)),

@@ -1,4 +1,4 @@
-"""Initial state of the filter: at rest on the first lengths, with its covariance."""
+"""Initial state of the filter: on the first lengths at rest or in motion, with its covariance."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.sway_basis import SwayBasis, sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.fleet import Fleet
+from carosac_toolkit.physics.rest.held_lengths import pose_on_lengths
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -72,6 +74,35 @@ class RestStart:
             tension=alone.tension[0],
             exit_tension=alone.exit_tension[0],
         )
+
+    def moving(
+        self, rest: DynamicFilterState, reading: Array, position: Array, rotation: Array,
+        twist: Array,
+    ) -> DynamicFilterState:  # fmt: skip
+        """Return the estimate that moves through a measured pose with a twist.
+
+        The pose is moved to where straight cables are as long as at rest: one that is off by
+        millimetres would stretch them.
+
+        Args:
+            rest: The estimate at rest on the same lengths.
+            reading: Length readings [m], shape (n,).
+            position: Platform origin in W [m], shape (3,).
+            rotation: From P to W, shape (3, 3).
+            twist: Of the platform origin in W, linear first, shape (6,).
+        """
+        robot, where, s = self._robot, rest.errors, self._settings
+        straight = straight_length(robot, rest.position[None], rest.rotation[None]).length[0]
+        position, rotation = pose_on_lengths(robot, position, rotation, straight)
+        sway = sway_at(robot, position, rotation, reading)
+        noise = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
+        covariance = np.array(rest.covariance)
+        covariance[where.sway] = covariance[:, where.sway] = 0.0
+        covariance[where.sway, where.sway] = sway.momentum @ np.diag(noise) @ sway.momentum.T
+        return replace(
+            rest, position=position, rotation=rotation, twist=twist, sway=sway,
+            covariance=covariance,
+        )  # fmt: skip
 
     def _derivatives(self, rests: Equilibrium) -> Array:
         """Return the pose per log mass, centre of mass and length bias, shape (6, 4 + n)."""

@@ -24,7 +24,7 @@ from baselines.length_readings import (
 )
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
-from carosac_toolkit.loop.values import Measurement
+from carosac_toolkit.loop.values import Belief, Measurement
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -132,6 +132,17 @@ class Tracker:
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
             poses=(), tensions=(), tally=InnovationTally(), restarts=0,
         )  # fmt: skip
+
+    def moving(self, track: Track, measurement: Measurement, row: int, first: Belief) -> Track:
+        """Let the platform of a new track move through a measured pose with a twist."""
+        if track.state is None:
+            return track
+        assert first.twist is not None
+        state = self._rest.moving(
+            track.state, measurement.unstrained_length[row], first.position[row],
+            first.rotation[row], first.twist[row],
+        )  # fmt: skip
+        return replace(track, state=state, now=state)
 
     def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Move the filter as far as lengths are known, and the estimate to now."""

@@ -26,6 +26,7 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.plausibility import find_misfits
 
 REWEIGHTINGS_MAX = 6  # of the poses, in one pass
@@ -51,7 +52,8 @@ def smooth(
 ) -> Smoothed:
     """Find the best estimate of a whole recording.
 
-    The platform hangs at rest on the first lengths; its dynamics go through a smooth path of the
+    The platform hangs at rest on the first lengths, or moves as the first poses do, if poses are
+    used; its dynamics go through a smooth path of the
     recorded lengths. The errors of this motion are told, with gtsam, by what else was measured,
     and put right; then all is done again until nothing changes.
 
@@ -75,12 +77,23 @@ def smooth(
         raise InvalidField("start, stop", f"{start}, {end}", allowed)
     measured = arrange(recording, robot, chosen)
     chosen = measured.settings
-    misfits = find_misfits(measured.recording, robot)
+    misfits = (*find_misfits(measured.recording, robot), *_unseen_motion(measured, robot))
     try:
         last = _settled(measured, robot, chosen, report)
     except CarosacError as error:
         raise CarosacError("\n  ".join([str(error), *misfits])) from error
     return _result(last, measured, misfits, measured.withheld(start, end))
+
+
+def _unseen_motion(measured: ArrangedRecording, robot: Robot) -> tuple[str, ...]:
+    """Warn of a motion at the first sample that only poses show, which are withheld."""
+    recording = measured.recording
+    if measured.poses or recording.poses is None or first_motion(recording, robot) is None:
+        return ()
+    return (
+        "The platform moves at the first sample, as the measured poses show, but the estimate "
+        "begins at rest: until that motion has died away it is wrong by as much. Use poses.",
+    )
 
 
 def _settled(
@@ -132,17 +145,21 @@ class _LastPass:
 def _rest(
     measured: ArrangedRecording, robot: Robot, settings: SmootherSettings
 ) -> DynamicFilterState:
-    """Return the state at which the recording begins."""
-    first = float(measured.time[0])
-    reading = measured.reading(first, measured.delay)
-    rest = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
+    """Return the state at which the recording begins: in motion where poses are used and say so."""
+    when = float(measured.time[0])
+    reading = measured.reading(when, measured.delay)
+    start = RestStart(robot, settings.dynamics)
+    rest = start.state(when, reading, settings.dynamics.start_speed)
     if rest is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
         raise CarosacError(
             f"the robot {robot.name!r} cannot hang at rest on the first recorded lengths "
             f"({lengths} m)"
         )
-    return rest
+    first = first_motion(measured.recording, robot) if measured.poses else None
+    if first is None or first.twist is None:
+        return rest
+    return start.moving(rest, reading, first.position[0], first.rotation[0], first.twist[0])
 
 
 def _solved(

@@ -11,8 +11,9 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest.held_lengths import moved_pose
 from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
-from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import (
     PLATFORM_REST_SPEED_MAX,
@@ -24,6 +25,7 @@ from carosac_toolkit.validation.phases import (
 STATE_PERIODS = 0.4  # of a mode, over which a polynomial is fitted to its motion
 STATE_DEGREE_MAX = 4
 STATE_POSES_MIN = 4  # poses, from which a speed can be told
+SIX_CABLES = 6  # so many cables leave a platform no free direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +72,33 @@ def first_speed(
     speeds = anchor_speed(robot, pose_time, position, rotation)[rows]
     speed = float(np.sqrt((speeds**2).mean()))
     return FirstSpeed(speed=speed, moves=speed > PLATFORM_REST_SPEED_MAX.of(scales.ratios))
+
+
+def first_motion(recording: Recording, robot: Robot) -> Belief | None:
+    """Return pose and twist at the first sample, or None where the platform rests or is unseen.
+
+    Args:
+        recording: Material, with poses in W (`carosac_toolkit.recordings.encoders.calibrated`).
+        robot: Robot description, n cables.
+
+    Returns:
+        B = 1; None with six cables or more, which leave no motion without one of the winches.
+    """
+    if recording.poses is None:
+        return None
+    matched = recording.pose_at(recording.time)
+    rows = np.flatnonzero(matched.valid)
+    if len(rows) < STATE_POSES_MIN or rows[0] > 0 or robot.n >= SIX_CABLES:
+        return None
+    time, length = recording.time, recording.unstrained_length
+    position, rotation = matched.pose.position[rows], matched.pose.rotation[rows]
+    moves = first_speed(robot, time, length, time[rows], position, rotation).moves
+    if not moves or (length[0] <= 0.0).any():
+        return None
+    rest = forward_kinematics(robot, length[:1])
+    if not (rest.converged & rest.stable).all():
+        return None
+    return first_state(robot, rest, time[rows], position, rotation)
 
 
 def first_state(

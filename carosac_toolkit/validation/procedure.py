@@ -13,13 +13,12 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
-from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.another_robot import another_robot, cable_count_hint
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
-from carosac_toolkit.validation.first_motion import STATE_POSES_MIN, first_speed, first_state
+from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.pose_noise import measured_pose_noise
@@ -32,7 +31,6 @@ from carosac_toolkit.validation.scores import (
     score_poses,
 )
 
-SIX_CABLES = 6  # so many cables leave a platform no free direction
 DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
 
 
@@ -89,7 +87,7 @@ def validate(
     lengths = recording.unstrained_length[index]
     resting = phases.resting[index]
     speed = anchor_speed(robot, recording.time[index], measured.position, measured.rotation)
-    first = _first_motion(recording, robot)
+    first = first_motion(recording, robot)
     scoring = _Scoring(recording, robot, index, measured, resting, rests, first)
     return ValidationResult(
         robot=robot,
@@ -250,23 +248,6 @@ class _Scoring:
     def _solved_rests(self, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
         """Return the rests of which a model solved every sample."""
         return [(a, b) for a, b in self._rests if good[a:b].all()]
-
-
-def _first_motion(recording: Recording, robot: Robot) -> Belief | None:
-    """Return pose and twist at the first sample, or None where the platform rests or is unseen."""
-    matched = recording.pose_at(recording.time)
-    rows = np.flatnonzero(matched.valid)
-    if len(rows) < STATE_POSES_MIN or rows[0] > 0 or robot.n >= SIX_CABLES:
-        return None
-    time, length = recording.time, recording.unstrained_length
-    position, rotation = matched.pose.position[rows], matched.pose.rotation[rows]
-    moves = first_speed(robot, time, length, time[rows], position, rotation).moves
-    if not moves or (length[0] <= 0.0).any():
-        return None
-    rest = forward_kinematics(robot, length[:1])
-    if not (rest.converged & rest.stable).all():
-        return None
-    return first_state(robot, rest, time[rows], position, rotation)
 
 
 def _rows(pose: Pose, which: NDArray[np.bool_]) -> Pose:

@@ -115,13 +115,14 @@ def test_without_any_score_only_the_reason_is_left(models):
     assert said(perfect(), models) == f"{models[0]} has no scores: RuntimeError: no luck."
 
 
-def test_the_simulator_starts_from_the_measured_motion_of_a_free_oscillation():
-    """At rest it would miss by the whole swing; the other model is not told the first pose."""
+def test_models_of_motion_start_from_the_measured_one_of_a_free_oscillation():
+    """At rest they would miss by the whole swing; the other model is not told the first pose."""
     recording, (position, _) = free_oscillation(ROBOT, 1, swing=0.15, duration=6.0)
-    result = validate(recording, ROBOT, [KS, "simulator"])
+    result = validate(recording, ROBOT, [KS, "simulator", "dynamic_estimator"])
     swing = np.sqrt(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert result.models[KS].scores.rmse[3] > 0.9 * swing
-    assert result.models["simulator"].scores.rmse[3] < 0.15 * swing
+    for name in ("simulator", "dynamic_estimator"):
+        assert result.models[name].scores.rmse[3] < 0.15 * swing
     assert result.starts_moving
     assert "start from its measured pose and speed" in " ".join(conclusions(result))
     assert not validate(perfect(), ROBOT, [KS]).starts_moving

@@ -20,6 +20,8 @@ from carosac_toolkit.loop.consistency import band, normalised_square
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
 from tests.baselines.smoother.runs import errors_of, filtered, rms, swing
+from tests.calibration.identification.oscillations import free_oscillation
+from tests.validation.runs import ROBOT
 
 KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)
 SMOOTH = dict(stretch_damping=0.0, stretch_noise=5e-4, rate_noise=0.05)
@@ -294,3 +296,14 @@ def test_every_second_pose_of_the_real_run_halves_the_error_or_better():
     found = smooth(recording, robot, SmootherSettings(poses="half"))
     assert found.scores.parts["all"].rmse[3] < 0.01
     assert found.scores.parts["all"].rmse[3] < 0.5 * alone.scores.parts["all"].rmse[3]
+
+
+def test_a_recording_that_begins_in_motion_is_smoothed_from_there():
+    """A free oscillation with locked winches: without poses nothing tells it, which is said."""
+    recording, (position, _) = free_oscillation(ROBOT, 1, swing=0.15, duration=5.0)
+    seen = smooth(recording, ROBOT, SmootherSettings(poses="half"))
+    away = np.linalg.norm(seen.position - position, axis=1)
+    assert away.max() < 2e-3 < 0.05 * np.ptp(position, axis=0).max()
+    assert seen.converged and not seen.misfits
+    blind = smooth(recording, ROBOT)
+    assert any("begins at rest" in line for line in blind.misfits)
