@@ -27,6 +27,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.first_motion import first_motion
+from carosac_toolkit.validation.phases import find_phases
 from carosac_toolkit.validation.plausibility import find_misfits
 
 REWEIGHTINGS_MAX = 6  # of the poses, in one pass
@@ -87,8 +88,10 @@ def smooth(
 
 def _unseen_motion(measured: ArrangedRecording, robot: Robot) -> tuple[str, ...]:
     """Warn of a motion at the first sample that only poses show, which are withheld."""
-    recording = measured.recording
-    if measured.poses or recording.poses is None or first_motion(recording, robot) is None:
+    run = measured.recording
+    rests = find_phases(run.time, run.unstrained_length).rests
+    resting = bool(rests) and rests[0][0] == 0  # else the winches may have begun to move it
+    if measured.poses or not resting or first_motion(run, robot) is None:
         return ()
     return (
         "The platform moves at the first sample, as the measured poses show, but the estimate "
