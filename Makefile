@@ -64,6 +64,7 @@ bars: $(STAMP)  ## run the slow acceptance measurements but `learning`; figures 
 	$(BIN)/python -m benchmarks.estimators
 	$(BIN)/python -m benchmarks.controllers
 	$(BIN)/python -m benchmarks.similarity
+	$(BIN)/python -m benchmarks.similarity --no-counts
 	$(BIN)/python -m benchmarks.any_robot
 	$(BIN)/python -m benchmarks.commands
 	$(BIN)/python -m benchmarks.figures --write

@@ -39,7 +39,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Belief, Command, Reference
-from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest import nearest, statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -240,8 +240,9 @@ class InputShaping:
         box = zip(self._robot.workspace_min, self._robot.workspace_max, strict=True)
         sides = [np.linspace(low, high, WORKSPACE_GRID_POSES) for low, high in box]
         poses = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-        rest = statics.inverse_kinematics(self._robot, poses)
-        poses = np.vstack([self._robot.home_position, poses[rest.converged & rest.stable]])
+        rest = nearest.rest_at(self._robot, poses)
+        stable = rest.converged & rest.stable
+        poses = np.vstack([self._robot.home_position, rest.position[stable]])
         delays = self._delays(
             sway_modes(self._robot, rest_at(self._robot, poses, CONTROLLER_NAME), self.modes)
         )
@@ -260,10 +261,12 @@ def _slow_modes(robot: Robot, frequency_max: float) -> int:
     """Count the modes at home that are slower than a limit.
 
     Raises:
-        UnreachableReference: The robot cannot rest at home.
+        UnreachableReference: The robot cannot rest at home, or is not stable there.
     """
     rest = statics.inverse_kinematics(robot, robot.home_position[None])
     if not rest.converged[0]:
         reason = statics.STATUS_REASONS[rest.status[0]]
         raise UnreachableReference(f"input_shaping: {robot.name} at home: {reason}")
+    if not rest.stable[0]:
+        raise UnreachableReference(f"input_shaping: {robot.name} at home: rest is not stable there")
     return int((sway_modes(robot, rest, 6).frequency[0] < frequency_max).sum())

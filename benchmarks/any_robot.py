@@ -37,7 +37,7 @@ from carosac_toolkit.studies.compare.feasibility import slowest_stop
 from carosac_toolkit.studies.run.divergence import divergence
 from carosac_toolkit.studies.run.run_case import Truth
 from carosac_toolkit.studies.run.scores import score
-from carosac_toolkit.workspace.grid import box_grid
+from carosac_toolkit.workspace.grid import search_grid
 from carosac_toolkit.workspace.region import compute
 
 ROBOTS = 200
@@ -66,7 +66,7 @@ def examined(seed: int) -> dict[str, Any]:
 def _examined(robot: Robot, seed: int) -> dict[str, Any]:
     """Check, workspace, statics and runs."""
     report = report_robot(robot)
-    region = compute(robot, box_grid(robot.workspace_min, robot.workspace_max, GRID))
+    region = compute(robot, search_grid(robot, robot.workspace_min, robot.workspace_max, GRID))
     inside = float(np.mean(region.verdicts.inside))
     if report.problems:
         return {"outcome": "refused", "reason": report.problems[0], "inside": inside}

@@ -2,9 +2,12 @@
 
     python -m benchmarks.similarity                       # the whole table
     python -m benchmarks.similarity --robots carosac --factors 0.1 10 --rows mpc/truth
+    python -m benchmarks.similarity --no-counts           # encoders without resolution
 
 Robot, path, control period, and rates and errors of the sensors are
-scaled; all other settings are the defaults. What then differs is a constant in the code.
+scaled; all other settings are the defaults. What then differs is a constant in the code, or comes
+from encoder counts: under a controller with feedback, a change in the last digit shifts counts
+later, so that a run differs from itself by about a percent. Without counts it does not.
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ ROWS = (
     "kinematic_solver/kinematic_solver", "kinematic_solver/ks_ekf",
     "kinematic_solver/dynamic_estimator", "mpc/dynamic_estimator",
 )  # fmt: skip
+FEEDBACK_ROW = "mpc/dynamic_estimator"  # in which encoder counts come back as commands
 SENSOR_UNITS = {
     "encoder_rate": "Hz", "encoder_noise": "m", "encoder_resolution": "m", "encoder_bias": "m",
     "encoder_delay": "s", "pose_rate": "Hz", "position_noise": "m", "pose_delay": "s",
@@ -89,12 +93,15 @@ def world_of(name: str, factor: float) -> World:
     return World(robot, ratios, path)
 
 
-def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
+def run(
+    world: World, row: str, *, counts: bool = True, **asked: Mapping[str, Any]
+) -> dict[str, Any]:
     """Run a controller on an estimator, ``controller/estimator``; return its scores.
 
     Args:
         world: Robot and path.
         row: Names.
+        counts: Whether lengths are read in steps of the encoder's resolution.
         asked: Settings beside the defaults: of the ``controller``, ``estimator`` or ``driver``.
     """
     controller_name, estimator_name = row.split("/")
@@ -105,6 +112,8 @@ def run(world: World, row: str, **asked: Mapping[str, Any]) -> dict[str, Any]:
         name: float(getattr(usual, name)) * ratios.of_unit(unit)
         for name, unit in SENSOR_UNITS.items()
     }
+    if not counts:
+        errors["encoder_resolution"] = 0.0
     sensors = SensorSettings(**errors)
     driver = build_plugin(
         plugins.load("drivers", "simulator"), robot, where="driver", seed=1,
@@ -154,17 +163,20 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--robots", nargs="+", default=list(PATHS))
     parser.add_argument("--factors", nargs="+", type=float, default=list(FACTORS))
-    parser.add_argument("--rows", nargs="+", default=list(ROWS))
+    parser.add_argument("--rows", nargs="+")
+    parser.add_argument("--no-counts", action="store_true")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
+    whole = [FEEDBACK_ROW] if asked.no_counts else list(ROWS)
+    rows = asked.rows or whole
     lines, kept = [], []
     for name in asked.robots:
-        for row in asked.rows:
+        for row in rows:
             first: dict[str, Any] = {}
             for factor in (1.0, *asked.factors):
                 began = time.perf_counter()
                 world = world_of(name, factor)
-                scores = run(world, row)
+                scores = run(world, row, counts=not asked.no_counts)
                 found = dimensionless(scores, world)
                 first = first or found
                 kept.append({"robot": name, "row": row, "factor": factor, **found})
@@ -174,8 +186,13 @@ def main() -> None:
     if asked.json:
         asked.json.write_text(json.dumps(kept))
     body = table(["robot", "controller/estimator", "factor", *SCORES], lines)
-    if set(asked.robots) >= set(PATHS) and set(asked.rows) >= set(ROWS):
-        write_section("similarity", "Similarity", "python -m benchmarks.similarity", body)
+    if set(asked.robots) >= set(PATHS) and set(rows) >= set(whole):
+        command = "python -m benchmarks.similarity"
+        if asked.no_counts:
+            title = "Similarity without encoder counts"
+            write_section("similarity-no-counts", title, f"{command} --no-counts", body)
+        else:
+            write_section("similarity", "Similarity", command, body)
 
 
 def _shown(found: Mapping[str, Any], first: Mapping[str, Any], factor: float) -> list[str]:

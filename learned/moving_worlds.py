@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_fields
+from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.drivers.sensors import check_suite
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.robot import Robot
 from learned.sensing import Sensing
@@ -32,8 +34,9 @@ class MovingSettings:
     Attributes:
         cables: How cables are modelled, as in `sim_warp.Simulator`.
         perturbation: Condition from which the plant and wind of each world are drawn.
-        position_bias: What the believed position errs by in an episode, one sigma per axis [m].
-        length_bias: What the encoders err by in an episode, one sigma per cable [m].
+        position_bias: Error of the estimated position, constant in an episode, one sigma per axis
+            [m].
+        length_bias: Error of the encoders, constant in an episode, one sigma per cable [m].
         start_speed: With which the platform starts, one sigma per axis [m/s].
         estimator: Name of the estimator whose belief is observed in some worlds; None: in none.
             All worlds then move in the time steps between the samples of its sensors, as those of
@@ -46,8 +49,8 @@ class MovingSettings:
 
     cables: Literal["particles", "catenary"] = "catenary"
     perturbation: str = "nominal-1"
-    position_bias: float = 0.01
-    length_bias: float = 0.005
+    position_bias: float = Scaled(0.01, "m", most=0.01)
+    length_bias: float = Scaled(5e-3, "m", most=5e-3)
     start_speed: float = 0.2
     estimator: str | None = None
     estimated: float = 1.0
@@ -78,6 +81,7 @@ class MovingWorlds:
         self, robot: Robot, settings: MovingSettings, period: float, size: int, seed: int,
         device: str = "cpu",
     ) -> None:  # fmt: skip
+        settings = resolved(settings, Scales(robot).ratios)
         self.robot = robot
         self.size = size
         self._settings = settings

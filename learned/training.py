@@ -21,6 +21,8 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import missing_folders, remove_empty
+from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
 from learned.checkpoint import (
@@ -100,14 +102,15 @@ class TrainingJob:
         return f"{self.preset}-{self.changes}" if self.changes else self.preset
 
     def settings(self) -> dict[str, Any]:
-        """Return all settings as JSON holds them."""
+        """Return all settings as JSON holds them, in the numbers of this robot."""
+        environment = resolved(self.stage.environment, Scales(self.robot).ratios)
         start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
             "preset": self.preset, "changes": self.changes, "stage": self.stage_name,
             "robot": self.robot.name,
             "robot_digest": digest(getattr(self.robot, f.name) for f in fields(self.robot)),
             "seed": self.seed, "start": start, "device": self.device,
-            "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
+            "environment": asdict(environment), "td3": asdict(self.stage.td3),
         }  # fmt: skip
 
     def settings_as_json(self) -> dict[str, Any]:

@@ -66,6 +66,17 @@ def test_a_similar_robot_gets_the_same_dimensionless_scores(row, factor, first):
     assert found["limited"] == before["limited"]
 
 
+@pytest.mark.slow
+def test_feedback_on_estimates_is_the_same_in_another_size_but_for_encoder_counts():
+    row = similarity.FEEDBACK_ROW
+    first, other = (
+        similarity.dimensionless(similarity.run(world, row, counts=False), world)
+        for world in (similarity.world_of("carosac", factor) for factor in (1.0, 0.1))
+    )
+    for name in (*similarity.SCALES_WITH_LENGTH, "nees", "tension_min_N"):
+        assert other[name] == pytest.approx(first[name], rel=2e-3), name
+
+
 def test_no_module_states_a_size_of_one_robot():
     known = set().union(*NOT_OF_A_ROBOT.values())
     found = {

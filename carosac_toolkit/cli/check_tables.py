@@ -11,6 +11,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.inspection.report import RobotReport
+from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 if TYPE_CHECKING:
     from carosac_toolkit.robot.schema import Payload, Platform
@@ -33,9 +34,12 @@ def describe(report: RobotReport) -> Iterator[str]:
         f"platform    {robot.mass:g} kg ({robot.weight:.1f} N), centre of mass "
         f"{_vector(robot.center_of_mass)} m, principal inertia {_vector(moments)} kg m^2"
     )
+    plane = (
+        "; two cables let it rest in one vertical plane only" if robot.n == SURFACE_CABLES else ""
+    )
     yield (
         f"workspace   {_vector(robot.workspace_min)} to {_vector(robot.workspace_max)} m "
-        "(positions of the platform origin)"
+        f"(positions of the platform origin{plane})"
     )
     yield (
         f"winches     speed {_range(robot.speed_max)} m/s, acceleration "

@@ -39,8 +39,10 @@ from carosac_toolkit.live.messages import say
 from carosac_toolkit.live.paced_path import PacedPath
 from carosac_toolkit.live.real_time import RealTime, short_pauses
 from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.live.sequence import Course
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
+from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.loop import Step
 from carosac_toolkit.loop.loop import run as run_loop
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
@@ -68,7 +70,7 @@ def run(options: Options) -> CommandResult:
     statistics = Statistics(guard)
     with recorded(options) as recorder, _prepared(options, guard) as real_time:
         guard.journal = recorder
-        say(_what(options, guard, recorder))
+        say(_what(options, guard, recorder, path))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
             parts = (guard, estimator, controller, paced(path, options, guard))
             completed, error = _run(options, *parts, statistics, real_time)
@@ -139,7 +141,9 @@ def _run(
     return log.completed, None
 
 
-def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -> str:
+def _what(
+    options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder, path: Followed
+) -> str:
     """Return what is about to happen, by the settings of the guard."""
     settings, period = guard.settings, guard.settings.period
     how = "the winches move" if settings.motion else "dry run: nothing is sent; --enable moves"
@@ -148,6 +152,8 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
     what = KEYS_HELP if options.by_hand else f"trajectory {options.trajectory}"
     if options.to is not None:
         what = f"straight to {place(np.array(options.to))}"
+    if isinstance(path, Course) and path.moved > 0.0:
+        what += f", moved by up to {path.moved:.3g} m to where two cables let the platform rest"
     if settings.motion and settings.speed_max is not None:
         how += f", at {settings.speed_max:g} m/s of cable at most"
     return (

@@ -30,6 +30,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories import Trajectory
+from carosac_toolkit.trajectories.resting import onto_rest
 
 WINCH_RATE_RATIO = 1.5  # of a winch to the platform: 1 by geometry, 1.11 with the tilt at rest
 # anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
@@ -151,7 +152,7 @@ def _move(
         raise InvalidField("--to", got, f"{box} m, the workspace box")
     if np.linalg.norm(goal - start) < START_TOLERANCE_M:
         raise InvalidField("--to", got, "another place than where the platform stands (--home)")
-    return trajectories.minimum_snap(np.stack([start, goal]), **limits)
+    return onto_rest(robot, trajectories.minimum_snap(np.stack([start, goal]), **limits))
 
 
 @contextlib.contextmanager

@@ -5,6 +5,8 @@ weight and for extra wrenches that you name, lengths that the winches can wind, 
 that do not touch. With six cables or more the orientation is held; with fewer the platform hangs
 as it may. Writes pictures and a table of all positions.
 
+With two cables the platform rests in one vertical plane only, which is judged instead of the box.
+
   carosac workspace carosac
   carosac workspace cogiro --box frame --force 50 50 50 --model both
   carosac workspace ipanema1 --rpy-deg 0,0,0 10,0,0 --slice z=0.5 z=1.5
@@ -30,7 +32,8 @@ from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.workspace.grid import GRID_AXES, Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.robot.sizes import SURFACE_CABLES
+from carosac_toolkit.workspace.grid import GRID_AXES, Grid, box_of, search_grid, slice_grid
 from carosac_toolkit.workspace.limits import words_of
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
@@ -84,8 +87,8 @@ def run(options: Options) -> CommandResult:
     lower, upper = _box(options, robot)
     settings = _settings(options)
     turns = _orientations(options, robot)
-    planes = _planes(options, lower, upper)
-    grid = box_grid(lower, upper, _count("--points", options.points))
+    grid = search_grid(robot, lower, upper, _count("--points", options.points))
+    planes = _planes(options, robot, lower, upper)
     folder = options.output or Path("carosac-results") / "workspace" / robot.name
     check_folder("--output", folder)
     models = ("sag", "straight") if options.model == "both" else (options.model,)
@@ -169,9 +172,14 @@ def _orientations(options: Options, robot: Robot) -> list[Array] | None:
     return turns
 
 
-def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
-    """Return the grids of the slices."""
+def _planes(options: Options, robot: Robot, lower: Array, upper: Array) -> list[Grid]:
+    """Return the grids of the slices; two cables hold in one plane only, which needs none."""
     count = _count("--slice-points", options.slice_points)
+    if robot.n == SURFACE_CABLES:
+        if options.slice:
+            allowed = f"nothing: {robot.name} rests in one plane only, which is drawn"
+            raise InvalidField("--slice", repr(options.slice[0]), allowed)
+        return []
     if not options.slice:
         middle = 0.5 * (lower + upper)
         return [
@@ -204,10 +212,13 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
     """Print volumes, limits and the effect of sag."""
     for model, (region, slices) in regions.items():
         title = "with sag" if model == "sag" else "straight cables"
+        if region.grid.rests:
+            plane = region.grid.title
+            print(f"two cables let the platform rest in one vertical plane only: {plane}\n")
         print(f"{title}: {region.sentence()}.\n")
-        size = region.grid.cell * len(region.verdicts.margin)
+        size, unit = region.grid.cell * len(region.verdicts.margin), _unit(region)
         print(
-            f"  {region.volume:.4g} m^3 of {size:.4g} m^3, box {_vector(lower)} to "
+            f"  {region.volume:.4g} {unit} of {size:.4g} {unit}, box {_vector(lower)} to "
             f"{_vector(upper)} m, {len(region.verdicts.margin)} positions"
         )
         inside = region.verdicts.margin[region.verdicts.inside]
@@ -238,11 +249,12 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         print()
     if len(regions) == 2:
         change = _changes(regions)
-        by = change["margin_change_N"]
+        by, unit = change["margin_change_N"], _unit(regions["sag"][0])
+        end = unit.replace("^", "")
         text = (
-            f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
-            f"workspace of straight cables and adds {change['gained']} "
-            f"({change['gained_m3']:.3g} m^3)"
+            f"sag takes {change['lost']} positions ({change[f'lost_{end}']:.3g} {unit}) away from "
+            f"the workspace of straight cables and adds {change['gained']} "
+            f"({change[f'gained_{end}']:.3g} {unit})"
         )
         if by["median"] is not None:
             text += (
@@ -250,6 +262,11 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
                 f"{by['least']:+.3g} N at worst"
             )
         print(text)
+
+
+def _unit(region: Region) -> str:
+    """Return the unit of the size of a workspace."""
+    return "m^2" if region.grid.rests else "m^3"
 
 
 def _vector(values: Array) -> str:
@@ -263,11 +280,12 @@ def _changes(regions: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
     one, other = sag.verdicts.inside, straight.verdicts.inside
     lost, gained, both = int((other & ~one).sum()), int((one & ~other).sum()), one & other
     change = sag.verdicts.margin[both] - straight.verdicts.margin[both]
+    end = _unit(sag).replace("^", "")
     return {
         "lost": lost,
         "gained": gained,
-        "lost_m3": lost * sag.grid.cell,
-        "gained_m3": gained * sag.grid.cell,
+        f"lost_{end}": lost * sag.grid.cell,
+        f"gained_{end}": gained * sag.grid.cell,
         "margin_change_N": {
             "median": float(np.median(change)) if len(change) else None,
             "least": float(change.min()) if len(change) else None,
@@ -303,6 +321,10 @@ def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[
     """Return the pictures of one model by name."""
     from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
 
+    if whole.grid.rests:
+        yield "plane", draw_slices([whole])
+        yield "maps_plane", draw_maps(whole, _maps(options, whole))
+        return
     yield "slices", draw_slices(slices)
     yield "space", draw_space(whole)
     for region in slices:

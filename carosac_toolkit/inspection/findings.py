@@ -12,6 +12,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.inspection import contacts
 from carosac_toolkit.inspection.home import RobotAtHome
 from carosac_toolkit.robot.checks import unused_parts
+from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 if TYPE_CHECKING:
     from carosac_toolkit.physics.rest.statics import Equilibrium
@@ -71,8 +72,24 @@ def _unstable(report: RobotAtHome) -> str:
             f"of oscillating, here {', '.join(growing)}"
         )
     return (
-        "the equilibrium is not stable: a natural frequency is zero, so no force restores the pose"
+        "the equilibrium is not stable: a natural frequency is zero, so no force restores the "
+        f"pose; the platform {_free_motion(report)}"
     )
+
+
+def _free_motion(report: RobotAtHome) -> str:
+    """Describe the motion of the least stiffness."""
+    size = float(np.linalg.norm(report.robot.anchor_points, axis=1).max()) or 1.0
+    scale = np.repeat([1.0, 1.0 / size], 3)  # of twists, so that all six are lengths
+    stiffness = scale[:, None] * report.equilibrium.stiffness[0] * scale
+    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    motion = vectors[:, int(np.argmin(np.abs(values)))]
+    turns = np.linalg.norm(motion[3:]) > np.linalg.norm(motion[:3])
+    direction = motion[3:] if turns else motion[:3]
+    direction = direction / np.linalg.norm(direction)
+    direction = np.round(direction * np.sign(direction[np.argmax(np.abs(direction))]), 2) + 0.0
+    text = "(" + ", ".join(f"{value:g}" for value in direction) + ")"
+    return f"turns freely about {text}" if turns else f"moves freely along {text}"
 
 
 def _inside_pulley(report: RobotAtHome) -> Iterator[str]:
@@ -89,11 +106,27 @@ def _no_equilibrium(report: RobotAtHome) -> Iterator[str]:
 
     yield STATUS_REASONS[report.equilibrium.status[0]]
     yield from _outside(report)
+    if report.robot.n == SURFACE_CABLES:
+        yield from _off_plane(report)
     needed = _without_limits(report)
     if needed is not None:
         yield from _tension_limits(report, needed)
     elif report.straight.valid.all():
         yield "no tensions hold it there, whatever their limits"
+
+
+def _off_plane(report: RobotAtHome) -> Iterator[str]:
+    """Name the position of rest of two cables that is nearest to home."""
+    from carosac_toolkit.physics.rest.nearest import nearest_rest
+
+    nearest = nearest_rest(report.robot, report.robot.home_position[None])
+    rest, distance = nearest.equilibrium, float(nearest.distance[0])
+    if rest.converged[0] and rest.stable[0]:
+        place = ", ".join(f"{value:.4g}" for value in np.round(rest.position[0], 9) + 0.0)
+        yield (
+            "two cables let the platform rest in one vertical plane only: the nearest position of "
+            f"rest is ({place}) m, {distance:.3g} m from home"
+        )
 
 
 def _without_limits(report: RobotAtHome) -> Equilibrium | None:

@@ -11,6 +11,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 KEY_STEP_M = 0.05
 BOX_TOLERANCE_M = 1e-9
@@ -36,6 +37,8 @@ class _ReferencePoint(NamedTuple):
 class HandTarget:
     """Endless reference towards a target in the workspace box; safe from several threads.
 
+    With two cables targets are projected onto the plane in which the robot can rest.
+
     Attributes:
         duration: Duration for the loop, longer than any run [s].
         over: Whether the operator has ended the run.
@@ -48,6 +51,7 @@ class HandTarget:
     ) -> None:
         """Stand still at `start` in W [m], shape (3,)."""
         self._box = (robot.workspace_min, robot.workspace_max)
+        self._plane = _plane(robot, start)
         self._limits = (speed_max, acceleration_max)
         self._lock = threading.Lock()
         self._target = np.array(start, dtype=float)
@@ -78,7 +82,10 @@ class HandTarget:
             InvalidField: It lies outside the workspace box, and not on the way back into it; the
                 old target stays.
         """
-        asked = np.asarray(position, dtype=float)
+        asked = np.array(position, dtype=float)
+        if self._plane is not None:
+            normal, point = self._plane
+            asked -= (asked - point) @ normal * normal
         low, high = self._box
         with self._lock:
             outside = np.maximum(low - asked, asked - high)
@@ -140,6 +147,15 @@ class HandTarget:
         change = change * min(1.0, acceleration_max / size) if size > 0.0 else change
         velocity = here.velocity + change * period
         return _ReferencePoint(here.position + velocity * period, velocity, change)
+
+
+def _plane(robot: Robot, start: Array) -> tuple[Array, Array] | None:
+    """Return normal and point of the plane in which two cables rest; None for more cables."""
+    from carosac_toolkit.physics.rest.nearest import nearest_rest, plane_of_rest
+
+    if robot.n != SURFACE_CABLES:
+        return None
+    return plane_of_rest(robot, nearest_rest(robot, start[None]).equilibrium.position)
 
 
 def _place(word: str) -> Array:

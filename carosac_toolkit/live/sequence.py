@@ -19,6 +19,7 @@ class Course:
 
     Attributes:
         duration: Duration of all [s].
+        moved: How far a trajectory was moved onto positions of rest, at most [m].
     """
 
     def __init__(self, parts: Sequence[Trajectory], rest: float) -> None:
@@ -28,6 +29,7 @@ class Course:
         lengths = [rest + part.duration for part in parts]
         self._starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]]) + rest
         self.duration = float(sum(lengths))
+        self.moved = max(part.moved for part in self._parts)
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
         """Return the reference from `time` on; see `Trajectory.window`."""

@@ -26,6 +26,8 @@ from carosac_toolkit.pictures.workspace_limits import (
     limit_legend,
     shown_limits,
 )
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.workspace.grid import line_in_box
 from carosac_toolkit.workspace.limits import CABLE_LIMITS
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
@@ -238,7 +240,8 @@ class _Plane:
     def __init__(self, region: Region) -> None:
         """Find the axis across."""
         shape = region.grid.shape
-        across = int(np.argmin(shape))
+        self.grid = region.grid
+        across = 1 if region.grid.rests else int(np.argmin(shape))
         self.right, self.up = (k for k in range(3) if k != across)
         self.x, self.y = region.grid.axes[self.right], region.grid.axes[self.up]
         self.size = (shape[self.right], shape[self.up])
@@ -246,8 +249,7 @@ class _Plane:
         left, right = self.ends(self.x)
         low, high = self.ends(self.y)
         self.aspect = (right - left) / (high - low)
-        value = region.grid.axes[across][0]
-        self.title = f"{'xyz'[across]} = {value:.4g} m"
+        self.title = region.grid.title
 
     def ends(self, coordinates: Array) -> tuple[float, float]:
         """Return the ends of an axis that shows coordinates, with a little room."""
@@ -257,8 +259,18 @@ class _Plane:
     def shows(self, points: Array) -> bool:
         """Return whether any of some points in W [m], shape (n, 3), is on an axis of the panel."""
         (left, right), (low, high) = self.ends(self.x), self.ends(self.y)
-        x, y = points[:, self.right], points[:, self.up]
+        x, y = self.grid.local(points)[:, [self.right, self.up]].T
         return bool(((x >= left) & (x <= right) & (y >= low) & (y <= high)).any())
+
+    def box(self, robot: Robot) -> tuple[float, float, float, float]:
+        """Return left, right, lower and upper side of the workspace box of the robot file [m]."""
+        lower, upper = robot.workspace_min, robot.workspace_max
+        left, right = float(lower[self.right]), float(upper[self.right])
+        if self.grid.rests:
+            left, right = line_in_box(
+                self.grid.origin, self.grid.directions[:, self.right], lower, upper
+            )
+        return left, right, float(lower[self.up]), float(upper[self.up])
 
     def image(self, values: Array) -> Array:
         """Return values of all positions as an image."""
@@ -319,16 +331,17 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
 
     The panel ends a little beyond the slice; exit points that are farther away are not shown.
     """
-    robot = region.robot
-    axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
+    grid = plane.grid
+    names = [grid.axis_name(axis) for axis in (plane.right, plane.up)]
+    axes.set(xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]", aspect="equal")
     axes.set(xlim=plane.ends(plane.x), ylim=plane.ends(plane.y))
-    low, high = robot.workspace_min, robot.workspace_max
-    corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
+    left, right, low, high = plane.box(region.robot)
     axes.plot(
-        [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
-        color=FRAME_COLOR, lw=0.8, ls="--",
+        [left, right, right, left, left], [low, low, high, high, low], color=FRAME_COLOR, lw=0.8,
+        ls="--",
     )  # fmt: skip
-    axes.plot(*robot.exit_points[:, [plane.right, plane.up]].T, "s", color=FRAME_COLOR, ms=3)
+    exits = grid.local(region.robot.exit_points)[:, [plane.right, plane.up]]
+    axes.plot(*exits.T, "s", color=FRAME_COLOR, ms=3)
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:

@@ -29,6 +29,13 @@ _PHYSICAL_SECTIONS = (
 )  # fmt: skip
 
 
+CHAINS_MIN = 2
+ONE_CABLE = (
+    "under a single cable a platform hangs below the exit point only, and turns freely about the "
+    "cable"
+)
+
+
 def cross_faults(data: dict[str, Any], parts: Any) -> list[Fault]:
     """Find the faults that concern several fields.
 
@@ -68,8 +75,9 @@ def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
     chains = data.get("chains")
     if not isinstance(chains, list):
         return
-    if not chains:
-        yield ("chains",), "got an empty list; allowed: at least one chain"
+    if len(chains) < CHAINS_MIN:
+        count = "an empty list" if not chains else "one chain"
+        yield ("chains",), f"got {count}; allowed: at least two: {ONE_CABLE}"
     names: dict[object, int] = {}
     ends: dict[tuple[object, object], int] = {}
     for i, chain in enumerate(chains):

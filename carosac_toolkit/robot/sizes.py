@@ -13,6 +13,7 @@ CAROSAC_SIZES = {  # of the robot `carosac`, where a part has a known value in S
     "frame": 6.955827729166207, "platform": 0.29718849237478895, "weight": 232.05555,
     "cable": 9.141812876044355, "time": 0.9653430184797842,
 }  # fmt: skip
+SURFACE_CABLES = 2  # so many cables hold a platform on a surface, more of them in a volume
 
 
 def frame_size(robot: Robot) -> float:

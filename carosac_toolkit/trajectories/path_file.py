@@ -18,6 +18,7 @@ from carosac_toolkit.recordings.table import FAULTS_SHOWN, Faults
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.recorded import from_recording
+from carosac_toolkit.trajectories.resting import onto_rest
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 PATH_COLUMNS = ("time_s", "position_x_m", "position_y_m", "position_z_m")
@@ -67,7 +68,8 @@ def from_file(name: str, robot: Robot) -> Trajectory:
 
     A CSV table with the columns `PATH_COLUMNS` is interpolated: a quintic spline through every
     row, at rest at the first and the last one. A recording is smoothed, as `from_recording` does;
-    without measured poses it is the path of the equilibria on its lengths.
+    without measured poses it is the path of the equilibria on its lengths. With two cables the path
+    is moved onto positions at which the robot can rest.
 
     Args:
         name: The file, the folder with it, or a bundled recording.
@@ -88,9 +90,12 @@ def _read(file: Path, digest: str, robot: Robot) -> Trajectory:
     columns = _table(file)
     if columns is None:
         path = from_recording(load_recording(file), robot)
-        return Trajectory(name=file.name, curve=path.curve, duration=path.duration)
-    time, position = columns
-    return Trajectory(name=file.name, curve=_through(time, position), duration=float(time[-1]))
+        wanted = Trajectory(name=file.name, curve=path.curve, duration=path.duration)
+    else:
+        time, position = columns
+        curve, duration = _through(time, position), float(time[-1])
+        wanted = Trajectory(name=file.name, curve=curve, duration=duration)
+    return onto_rest(robot, wanted)
 
 
 def _table(file: Path) -> tuple[Array, Array] | None:

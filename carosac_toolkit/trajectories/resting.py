@@ -9,11 +9,11 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import SURFACE_CABLES, cable_size
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 SAMPLES = 60  # positions of the path that are moved to their nearest rest
-PLANE_SHARE = 1e-8  # of the cable length: a surface that is no flatter is no plane
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,11 +55,11 @@ def onto_rest(robot: Robot, trajectory: Trajectory) -> Trajectory:
         The moved trajectory; its `moved` is the longest way of a position.
 
     Raises:
-        InvalidField: No rest near the path, or the positions of rest are no plane.
+        InvalidField: No rest near the path, or the positions of rest are not in a plane.
     """
-    if robot.n != 2:  # `SURFACE_CABLES`, without a load of Warp
+    if robot.n != SURFACE_CABLES:
         return trajectory
-    from carosac_toolkit.physics.rest.nearest import nearest_rest
+    from carosac_toolkit.physics.rest.nearest import PLANE_SHARE, nearest_rest, plane_of_rest
 
     curve = trajectory.curve
     wanted = curve.derivatives(np.linspace(0.0, float(curve.breaks[-1]), SAMPLES))[:, 0]
@@ -68,27 +68,9 @@ def onto_rest(robot: Robot, trajectory: Trajectory) -> Trajectory:
     if not rest.converged.all():
         k = int(np.argmin(rest.converged))
         raise InvalidField(f"trajectory {trajectory.name}", wanted[k], "positions near a rest")
-    normal, point, error = _plane(robot, rest.position)
-    size = float(rest.unstrained_length.mean())
-    if error > PLANE_SHARE * size:
-        allowed = (
-            "the platform origin on the line through the anchor points, so that the positions of "
-            "rest are a plane"
-        )
-        raise InvalidField("anchor_points", f"positions of rest {error:.2g} m off a plane", allowed)
+    normal, point = plane_of_rest(robot, rest.position)
     moved = float(nearest.distance.max())
-    if moved <= PLANE_SHARE * size:
+    if moved <= PLANE_SHARE * cable_size(robot):
         moved = 0.0
     flat = FlatCurve(curve=curve, normal=normal, point=point)
     return replace(trajectory, curve=flat, points=None, moved=moved)
-
-
-def _plane(robot: Robot, position: Array) -> tuple[Array, Array, float]:
-    """Return normal, point and error [m] of the vertical plane through the positions of rest.
-
-    Its direction is that of the exit points: they and the weight lie in it.
-    """
-    across = np.cross(robot.exit_points[1] - robot.exit_points[0], [0.0, 0.0, 1.0])
-    normal = across / np.linalg.norm(across)
-    point = position.mean(axis=0)
-    return normal, point, float(np.abs((position - point) @ normal).max())

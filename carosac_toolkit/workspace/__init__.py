@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carosac_toolkit.workspace.grid import Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.workspace.grid import Grid, box_grid, box_of, search_grid, slice_grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
 from carosac_toolkit.workspace.limits import Limit
 from carosac_toolkit.workspace.maps import Maps, maps
@@ -21,5 +21,6 @@ __all__ = [
     "compute",
     "judge",
     "maps",
+    "search_grid",
     "slice_grid",
 ]

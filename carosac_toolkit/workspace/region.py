@@ -43,7 +43,7 @@ class Region:
 
     @property
     def volume(self) -> float:
-        """Cells whose middle is inside [m^3]."""
+        """Cells whose middle is inside [m^3]; on a plane of rest [m^2]."""
         return float(self.verdicts.inside.sum()) * self.grid.cell
 
     @property
@@ -104,15 +104,16 @@ class Region:
         """Return the result in words."""
         name = self.robot.name
         share = f"{self.share:.1%}".replace("%", " %")
+        place = "plane" if self.grid.rests else "box"
         if self.verdicts.inside.all():
             count = len(self.verdicts.margin)
-            text = f"{name} can hold its platform at all {count} positions in the box"
+            text = f"{name} can hold its platform at all {count} positions in the {place}"
             return f"{text}; {self._nearest()}"
         if not self.verdicts.inside.any():
-            text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"
+            text = f"{name} can hold its platform nowhere in the {place}: {self._words(False)}"
         else:
             text = (
-                f"{name} can hold its platform in {share} of the box; "
+                f"{name} can hold its platform in {share} of the {place}; "
                 f"where that ends, mostly {self._words(True)}"
             )
         if self.unknown:
@@ -155,8 +156,7 @@ class Region:
             "positions": len(out.margin),
             "inside": int(out.inside.sum()),
             "share": self.share,
-            "volume_m3": self.volume,
-            "box_m3": self.grid.cell * len(out.margin),
+            **self._sizes(),
             "not_converged": self.unknown,
             "margin_N": {
                 "least_inside": float(inside.min()) if len(inside) else None,
@@ -171,6 +171,13 @@ class Region:
             "limits_at_the_end": self._listed(at_the_end=True),
             "sentence": self.sentence(),
         }
+
+    def _sizes(self) -> dict[str, Any]:
+        """Return what is inside and all that was searched: volumes, on a plane of rest areas."""
+        searched = self.grid.cell * len(self.verdicts.margin)
+        if self.grid.rests:
+            return {"plane": self.grid.title, "area_m2": self.volume, "plane_m2": searched}
+        return {"volume_m3": self.volume, "box_m3": searched}
 
     def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
         """Return the causes, ready for JSON."""

@@ -21,7 +21,7 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.physics.rest import statics
 from sim_warp.driver import SimDriver, SimDriverSettings
-from tests.robots import eight_cable_robot, simple_robot
+from tests.robots import eight_cable_robot, hanging, simple_robot
 
 PERIOD = 0.02
 START = 2.5  # [s] of rest before the move: the look ahead has grown to its full size
@@ -251,6 +251,23 @@ def test_what_cannot_be_is_said():
     up = replace(reference, position=reference.position + np.array([0.0, 0.0, 7.0]))
     with pytest.raises(UnreachableReference, match="input_shaping: position"):
         controller.command(belief, up)
+
+
+def test_a_platform_that_turns_freely_is_refused():
+    robot = replace(hanging(2), anchor_points=np.zeros((2, 3)))
+    with pytest.raises(UnreachableReference, match="at home: rest is not stable there"):
+        InputShaping.build(robot)
+
+
+def test_the_slowest_sway_of_two_cables_is_found_where_they_let_the_platform_rest():
+    """Wherever the box is across the plane of rest: its grid need not meet it."""
+    robot = hanging(2)
+    shifted = replace(
+        robot, workspace_min=robot.workspace_min + np.array([0.0, 0.07, 0.0]),
+        workspace_max=robot.workspace_max + np.array([0.0, 0.07, 0.0]),
+    )  # fmt: skip
+    lag = InputShaping.build(robot).lag
+    assert InputShaping.build(shifted).lag == pytest.approx(lag, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.robot.file import robot_text
 
 
 def run(tmp_path, *words):
@@ -101,3 +102,31 @@ def test_wrong_input_is_one_message_and_nothing_is_written(tmp_path, capsys, wor
     assert status == 2 and not out.exists() and not (tmp_path / "w.json").exists()
     error = capsys.readouterr().err
     assert message in error and len(error.strip().splitlines()) == 1
+
+
+def two_cables(path):
+    """Write the file of `carosac` with the chains of two opposite corners only."""
+    lines = robot_text("carosac").splitlines(keepends=True)
+    chains = [line for line in lines if line.startswith("  - {name:")]
+    path.write_text("".join(line for line in lines if line not in chains[1::2]))
+    return str(path)
+
+
+def test_two_cables_are_judged_in_their_plane(tmp_path, capsys):
+    file = two_cables(tmp_path / "two.yaml")
+    words = ["workspace", file, "--points", "60", "--output", str(tmp_path / "out")]
+    main([*words, "--json", str(tmp_path / "w.json")])
+    said = capsys.readouterr().out
+    assert said.startswith("two cables let the platform rest in one vertical plane only: along (")
+    assert " of the plane; " in said or "in the plane" in said
+    assert "m^2, box" in said and "m^3" not in said
+    data = json.loads((tmp_path / "w.json").read_text())
+    assert data["area_m2"] == pytest.approx(data["share"] * data["plane_m2"])
+    assert data["share"] > 0.3
+    assert "volume_m3" not in data and data["slices"] == {"sag": []}
+    names = {path.stem for path in (tmp_path / "out").glob("*.png")}
+    assert names == {"plane", "maps_plane"}
+    assert main([*words, "--slice", "z=2"]) == 2
+    assert "--slice: got 'z=2'; allowed: nothing: carosac rests in one" in capsys.readouterr().err
+    assert main([*words, "--model", "both", "--no-pictures"]) in (0, 1)
+    assert "m^2) away from the workspace" in capsys.readouterr().out

@@ -7,7 +7,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.robot.file import parse_file, robot_text
-from tests.robots import eight_cable_robot, simple_robot, with_pulleys
+from tests.robots import eight_cable_robot, hanging, simple_robot, with_pulleys
 
 
 def text_report(text):
@@ -160,3 +160,20 @@ def test_the_wrap_leads_to_the_first_point_of_the_cable():
     tangent = robot.exit_points + 0.3 * (outward * (1.0 - cosine) + sine * axis)
     assert report.shape[:, 0] == pytest.approx(tangent, abs=1e-9)
     assert report.wrap == pytest.approx(report.straight.wrap[0], abs=0.02)  # they hang a little
+
+
+def test_two_cables_with_home_beside_their_plane_get_the_nearest_position_of_rest():
+    robot = hanging(2)
+    assert report_robot(robot).feasible
+    beside = report_robot(replace(robot, home_position=np.array([0.0, 0.3, 2.0])))
+    assert not beside.feasible
+    (found,) = [text for text in beside.problems if text.startswith("two cables")]
+    assert found.endswith("the nearest position of rest is (0, 0, 2) m, 0.3 m from home")
+
+
+def test_the_motion_that_nothing_restores_is_named():
+    robot = hanging(2)
+    report = report_robot(replace(robot, anchor_points=np.zeros((2, 3))))
+    (problem,) = report.problems
+    assert problem.endswith("a natural frequency is zero, so no force restores the pose; the "
+                            "platform turns freely about (0, 0, 1)")  # fmt: skip

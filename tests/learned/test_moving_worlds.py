@@ -1,10 +1,16 @@
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.similar import similar_robot
+from carosac_toolkit.robot.sizes import cable_size
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from tests.robots import simple_robot
 
@@ -133,6 +139,30 @@ def test_a_plant_that_cannot_rest_at_a_start_begins_on_the_way_home():
     np.testing.assert_allclose(found[:2], home[:2], atol=1e-5)
     with pytest.raises(CarosacError, match="simple: a plant that was drawn cannot rest near"):
         worlds.reset(np.array([0]), np.array([[0.4, -1.8, 60.0]]))
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_default_biases_shrink_with_a_robot_but_do_not_grow(factor):
+    robot, share = similar_robot(simple_robot(), factor), min(factor * carosac_size(), 1.0)
+    usual, period = MovingSettings(perturbation="none", start_speed=0.0), PERIOD * factor**0.5
+    stated = replace(usual, position_bias=0.01 * share, length_bias=0.005 * share)
+    states = []
+    for settings in (usual, stated):
+        worlds = MovingWorlds(robot, settings, period, 3, 0)
+        worlds.reset(np.arange(3), factor * START)
+        states.append(worlds.state())
+    for name in ("position_bias", "length_bias"):
+        np.testing.assert_allclose(states[0][name], states[1][name], rtol=1e-12)
+
+
+def test_default_biases_are_as_stated_on_carosac():
+    settings = resolved(MovingSettings(), Scales(load_robot("carosac")).ratios)
+    assert (settings.position_bias, settings.length_bias) == (0.01, 0.005)
+
+
+def carosac_size():
+    """Size of the simple robot over that of carosac."""
+    return cable_size(simple_robot()) / cable_size(load_robot("carosac"))
 
 
 def test_negative_spreads_are_refused():

@@ -14,6 +14,7 @@ import torch
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.similar import similar_robot
 from learned import checkpoint as checkpoints
 from learned import training
 from learned.checkpoint import CHECKPOINT_FILE, read_checkpoint, write_checkpoint
@@ -310,6 +311,16 @@ def test_a_folder_with_other_settings_is_refused(tmp_path):
     with pytest.raises(InvalidField, match=r"there td3\.actor_rate is .*, not 1e-05"):
         train(job(stage=slower), tmp_path)
     assert train(job(), tmp_path, stop_after=100) is None  # the same ones go on
+
+
+def test_settings_are_recorded_in_the_numbers_of_the_robot():
+    carosac = load_robot("carosac")
+    small = replace(job("realtime"), robot=similar_robot(carosac, 0.1))
+    recorded = small.settings()["environment"]["moving"]
+    assert recorded["length_bias"] == pytest.approx(0.5e-3, rel=1e-9)
+    assert recorded["position_bias"] == pytest.approx(1e-3, rel=1e-9)
+    stated = replace(job("realtime"), robot=carosac).settings()["environment"]["moving"]
+    assert (stated["length_bias"], stated["position_bias"]) == (5e-3, 0.01)
 
 
 def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_path):

@@ -5,7 +5,7 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.paced_path import PacedPath
 from carosac_toolkit.live.sequence import Course
 from carosac_toolkit.trajectories import line
-from tests.robots import simple_robot
+from tests.robots import hanging, simple_robot
 
 PERIOD, SLOW, FAST, ACCELERATION = 0.01, 0.05, 0.4, 0.5
 START = np.array([0.0, -1.0, 2.0])
@@ -71,6 +71,13 @@ def test_a_hand_target_starts_slowly_too():
     assert speed[near].max() < SLOW * 1.01
     assert speed.max() > 0.9 * FAST
     assert position[-1] == pytest.approx(hand.target, abs=2e-3)
+
+
+def test_a_hand_target_of_two_cables_stays_where_they_let_the_platform_rest():
+    robot = hanging(2)
+    hand = HandTarget(robot, robot.home_position, speed_max=FAST, acceleration_max=ACCELERATION)
+    assert hand.go_to(np.array([0.3, 0.2, 2.5])) == pytest.approx([0.3, 0.0, 2.5], abs=1e-9)
+    assert hand.target == pytest.approx([0.3, 0.0, 2.5], abs=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.004, 0.3], ids=["jitter", "missed cycles"])

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.text import Annotation
+from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, SINGLE_COLUMN_INCH
 from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space, volume_text
 from carosac_toolkit.pictures.workspace_limits import COLOR_SCALES, HATCHES
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.workspace import box_grid, box_of, compute, maps, slice_grid
+from carosac_toolkit.workspace import box_grid, box_of, compute, maps, search_grid, slice_grid
 from tests.pictures.layout import cut_texts, laid_out, overlapping_texts
+from tests.robots import hanging
 
 CASES = [("carosac", "frame"), ("stadium", "workspace")]
 
@@ -99,3 +101,18 @@ def test_kinds_of_limits_differ_without_colour():
 )  # fmt: skip
 def test_volumes_have_no_exponent(volume, text):
     assert volume_text(volume) == text
+
+
+def test_a_plane_of_rest_is_drawn_with_its_box_and_exit_points():
+    robot = hanging(2)
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.2]).as_matrix()
+    robot = replace(robot, exit_points=robot.exit_points @ turn.T)
+    region = compute(robot, search_grid(robot, *box_of(robot, "frame"), 300))
+    figure = laid_out(draw_slices([region]))
+    assert overlapping_texts(figure) == [] == cut_texts(figure)
+    panel = figure.axes[0]
+    box, exits = panel.lines[0], panel.lines[1]
+    wide = robot.workspace_max[0] / np.cos(0.2)  # along the plane, to the faces of the box
+    assert np.abs(box.get_xdata()).max() == pytest.approx(wide)
+    apart = np.linalg.norm(np.diff(robot.exit_points[:, :2], axis=0))
+    assert np.ptp(exits.get_xdata()) == pytest.approx(apart)

@@ -5,7 +5,10 @@ import pytest
 from scipy.optimize import linprog
 
 import carosac_toolkit as ct
+from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.physics.rest import structure
+from carosac_toolkit.physics.scales import Scales
 
 ACCELERATION = {"desktop": 3.0, "stadium": 3.0, "warehouse": 2.0}  # [m/s^2], in the provenance
 
@@ -42,6 +45,16 @@ def test_robots_of_other_sizes_can_accelerate_as_promised_at_every_corner(name):
             wrench = np.concatenate([force, moment])[:rows]
             answer = linprog(np.zeros(robot.n), A_eq=matrix[:rows], b_eq=wrench, bounds=limits)
             assert answer.status == 0
+
+
+def test_the_plate_of_desktop_turns_instead_of_slackening_a_cable_by_errors_of_encoders():
+    robot, rng = ct.load_robot("desktop"), np.random.default_rng(0)
+    position = rng.uniform(robot.workspace_min, robot.workspace_max, (300, 3))
+    length = ct.statics.inverse_kinematics(robot, position).unstrained_length
+    error = resolved(SensorSettings(), Scales(robot).ratios).encoder_bias
+    erring = length + error * rng.standard_normal(length.shape)
+    rest = ct.statics.forward_kinematics(robot, erring)
+    assert rest.converged.all() and not rest.slack.any()
 
 
 def test_warehouse_is_the_robot_with_pulleys():

@@ -142,13 +142,22 @@ def test_a_misspelt_key_is_one_fault():
         ("tension_limits: {min: 5 N, max: 500 N}", "", "chains[3].tension_limits: missing"),
         ("axial_stiffness: 0.95 MN", "axial_stiffness: 0.95 MN\n    area: 7 mm^2",
          "axial_stiffness: got axial_stiffness and area"),
-        ("chains:\n", "chains: []\nmore:\n", "chains: got an empty list"),
+        ("chains:\n", "chains: []\nmore:\n", "chains: got an empty list; allowed: at least two"),
         ("description: suspended", "description:\nother: suspended", "description: got nothing"),
         ("mass: 23.655 kg", "mass: 1:30", "platform.mass: got '1:30'"),
     ],
 )  # fmt: skip
 def test_each_fault_says_what_is_allowed(old, new, message):
     assert any(message in fault for fault in faults(changed(old, new))), faults(changed(old, new))
+
+
+def test_a_single_cable_is_refused_with_the_reason():
+    lines = robot_text("carosac").splitlines(keepends=True)
+    chains = [line for line in lines if line.startswith("  - {name:")]
+    text = "".join(line for line in lines if line not in chains[1:])
+    (fault,) = [fault for fault in faults(text) if "chains" in fault]
+    assert "chains: got one chain; allowed: at least two: under a single cable a plat" in fault
+    assert fault.endswith("turns freely about the cable")
 
 
 @pytest.mark.parametrize("name", [r"a\e]0;owned\ab", r"a\nwarning: fine", r"gpj\u202eexe"])

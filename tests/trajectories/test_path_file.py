@@ -14,6 +14,7 @@ from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.studies.compare.feasibility import slowest_stop
 from carosac_toolkit.trajectories import build, from_file
 from carosac_toolkit.trajectories.path_file import PATH_COLUMNS, is_path_file, path_digest
+from tests.robots import hanging
 
 ROBOT = load_robot("carosac")
 HEADER = ",".join(PATH_COLUMNS)
@@ -119,3 +120,14 @@ def test_files_are_told_from_names_and_by_their_content(tmp_path):
     assert path_digest(one) != path_digest(other) and path_digest("circle") is None
     with pytest.raises(CarosacError, match="no such file"):
         from_file(str(tmp_path / "none.csv"), ROBOT)
+
+
+def test_a_path_of_two_cables_is_moved_to_where_they_let_the_platform_rest(tmp_path):
+    time = np.linspace(0.0, 4.0, 5)
+    position = np.array([[0.0, 0.1, 2.0]]) + 0.1 * np.arange(5)[:, None] * [1.0, 0.5, 1.0]
+    name = write(tmp_path / "path.csv", time, position)
+    path = from_file(name, hanging(2))
+    where = path.sample(time).position
+    np.testing.assert_allclose(where, position * [1.0, 0.0, 1.0], atol=1e-9)
+    assert path.moved == pytest.approx(0.3, abs=1e-6)
+    assert from_file(name, hanging(3)).moved == 0.0

@@ -55,6 +55,8 @@ RIDGE_MAX = wp.constant(wp.float64(1.0e6))
 TURNS_MAX = wp.constant(60)
 POINT_SHARE = wp.constant(wp.float64(2.0e-3))  # of a cable: 20 times what straight cables fit to
 FREE_ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
+POINT_ATTEMPTS = wp.constant(8)  # the same of a point, which may turn to any heading
+POINT_TURN_RAD = wp.constant(wp.float64(0.8975979010256552))  # a seventh turn between headings
 
 
 @wp.func
@@ -404,10 +406,12 @@ def turn_freely(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticB
 
 
 @wp.func
-def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
-    """Return the initial rotation, twice, then four tilted ones."""
+def start_rotation(attempt: int, point: int, rotation: wp.mat33d) -> wp.mat33d:
+    """Return the initial rotation, twice, then tilted ones, or of a point other headings."""
     tilt = wp.vec3d()
-    if attempt > 1:
+    if attempt > 1 and point == 1:
+        tilt[2] = POINT_TURN_RAD * wp.float64(attempt - 1)
+    elif attempt > 1:
         tilt[attempt % 2] = wp.where(attempt > 3, -START_TILT_RAD, START_TILT_RAD)
     return rotation_of(tilt) * rotation
 
@@ -429,8 +433,9 @@ def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     steps = int(0)
     attempt = int(0)
     point = is_point(cables, row, body, poses.tension.shape[1])
-    while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
-        r = start_rotation(attempt, first_rotation)
+    attempts = wp.where(point == 1, POINT_ATTEMPTS, FREE_ATTEMPTS)
+    while attempt < attempts and out.status != STATUS_CONVERGED:
+        r = start_rotation(attempt, point, first_rotation)
         if point == 0:
             r = fit_straight(cables, row, b, body, p, r, poses)
         margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)

@@ -8,18 +8,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.device import robots_of
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.sizes import SURFACE_CABLES, cable_size
 
-SURFACE_CABLES = 2  # so many cables hold a platform on a surface, more of them in a volume
 LENGTH_STEP_SHARE = 1e-5  # of the length: step of the differences
 STEP_MAX_SHARE = 0.1  # of the length: longest step of a cable
 CLOSE_SHARE = 1e-10  # of the length: a shorter step is the last one
 STEPS_MAX = 30
+PLANE_SHARE = 1e-8  # of the cable length: positions of rest nearer than this to a plane are on it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,6 +90,37 @@ def rest_at(
     if robot.n != SURFACE_CABLES or rotation is not None:
         return statics.inverse_kinematics(robot, position, rotation, device=device)
     return nearest_rest(robot, position, device=device).equilibrium
+
+
+def plane_of_rest(robot: Robot, position: Array) -> tuple[Array, Array]:
+    """Return the vertical plane in which two cables hold a platform: that of cables and weight.
+
+    Args:
+        robot: Robot description, n = 2.
+        position: Positions of rest in W [m], shape (B, 3).
+
+    Returns:
+        Horizontal unit normal in W, shape (3,), and a point of the plane in W [m], shape (3,).
+
+    Raises:
+        InvalidField: One exit point is above the other, so that the platform turns freely, or
+            swivel axes are so inclined that the positions of rest are no plane.
+    """
+    apart = robot.exit_points[1] - robot.exit_points[0]
+    across = np.array([-apart[1], apart[0], 0.0])
+    width, size = float(np.linalg.norm(across)), cable_size(robot)
+    if width <= PLANE_SHARE * size:
+        points = f"{robot.exit_points[0]} and {robot.exit_points[1]} m"
+        raise InvalidField("exit_points", points, "not one above the other, with two cables")
+    normal, point = across / width, position.mean(axis=0)
+    error = float(np.abs((position - point) @ normal).max())
+    if error > PLANE_SHARE * size:
+        allowed = (
+            "upright, or in the vertical plane of the exit points, so that the positions of rest "
+            "with two cables are a plane"
+        )
+        raise InvalidField("swivel_axis", f"positions of rest {error:.2g} m off a plane", allowed)
+    return normal, point
 
 
 def _step_towards(robot: Robot | Fleet, rest: Equilibrium, wanted: Array, device: str) -> Array:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.modes import natural_frequencies
-from carosac_toolkit.physics.rest.nearest import nearest_rest, rest_at
+from carosac_toolkit.physics.rest.nearest import nearest_rest, plane_of_rest, rest_at
 from carosac_toolkit.trajectories import build
 from tests.robots import hanging
 
@@ -88,3 +89,27 @@ def test_straight_cables_find_the_position_of_few_cables(n):
         robot, straight_line.inverse_kinematics(robot, where), guess=beside
     )
     assert again.position == pytest.approx(where, abs=1e-9)
+
+
+def test_two_cables_rest_in_a_plane_wherever_centre_of_mass_and_anchor_points_are():
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        robot = replace(
+            hanging(2), center_of_mass=np.array([0.0, 0.0, -0.3]) + rng.uniform(-0.1, 0.1, 3),
+            anchor_points=hanging(2).anchor_points + rng.uniform(-0.1, 0.1, (2, 3)),
+            exit_points=hanging(2).exit_points + rng.uniform(-0.5, 0.5, (2, 3)),
+        )  # fmt: skip
+        rest = nearest_rest(robot, positions(robot, 20)).equilibrium
+        assert rest.converged.all()
+        normal, point = plane_of_rest(robot, rest.position)
+        assert (rest.position - point) @ normal == pytest.approx(0.0, abs=1e-9)
+
+
+def test_inclined_pulleys_leave_two_cables_no_plane():
+    robot = replace(
+        hanging(2), pulley_radius=np.full(2, 0.05),
+        swivel_axis=np.tile([0.0, 0.6, 0.8], (2, 1)),
+    )  # fmt: skip
+    rest = nearest_rest(robot, positions(robot, 20)).equilibrium
+    with pytest.raises(InvalidField, match=r"swivel_axis: got positions of rest 0\.0.* m off"):
+        plane_of_rest(robot, rest.position)
