@@ -180,6 +180,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         **_limits(rows),
         **{name: _middle(good, name) for name in LATENCY_COLUMNS},
+        "feedback": next((x for row in rows if (x := row.get("feedback")) is not None), None),
         "reasons": reasons(rows),
     }
 
