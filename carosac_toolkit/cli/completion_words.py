@@ -99,7 +99,7 @@ def _values_by_field() -> dict[str, Values]:
         "driver": drivers, "plant": drivers,
         "sensors": sensors,
         "trajectory": Values(paths), "trajectories": Values(paths, RECORDING_SUFFIXES),
-        "condition": Values(conditions), "perturbations": Values(conditions, ROBOT_SUFFIXES),
+        "condition": Values(conditions), "conditions": Values(conditions, ROBOT_SUFFIXES),
         "suite": Values(("reference",)),
         "against": Values(files=(FOLDER,)),
         "policy": Values(read_stems("learned", "policies", ".onnx"), ("onnx",)),

@@ -111,7 +111,7 @@ def test_bash_takes_names_of_files_as_they_are(scripts, tmp_path):
         (["figures", ""], folders),
         (["import", "recording", "x", "--definitions", ""], folders),
         (["check", "x", "--picture", ""], folders | {"*.yaml", "m.yaml"}),
-        (["compare", "--perturbations", "m"], {"m folder", "m.yaml"}),
+        (["compare", "--conditions", "m"], {"m folder", "m.yaml"}),
     ):
         assert wanted <= complete_in_bash(scripts / "bash", words, tmp_path)
 

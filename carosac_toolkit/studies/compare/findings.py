@@ -69,7 +69,7 @@ def blocks_of(results: StudyResults) -> list[tuple[str, list[int]]]:
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
     several = len(blocks) > 1
     return [
-        (f"On {robot}, {condition}: " if several else "", members)
+        (f"On {robot}, condition {condition}: " if several else "", members)
         for (robot, condition), members in list(blocks.items())[:BLOCKS_MAX]
     ]
 

@@ -6,7 +6,7 @@ import textwrap
 from typing import Any
 
 from carosac_toolkit.base.tables import Rows, counted
-from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, COLUMN_TITLES, StudyResults
 from carosac_toolkit.studies.compare.terminal_table import (
     cases,
     limited,
@@ -41,7 +41,8 @@ REASONS_SHOWN = 3  # of a group
 
 def header(results: StudyResults) -> tuple[str, ...]:
     """Return the titles of the columns."""
-    return (*_names(results), *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
+    titles = [COLUMN_TITLES.get(name, name) for name in _names(results)]
+    return (*titles, *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
 
 
 def units(results: StudyResults) -> str:

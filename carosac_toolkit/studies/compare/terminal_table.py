@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from carosac_toolkit.base.tables import aligned, wrapped
 from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
-from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults
+from carosac_toolkit.studies.compare.results import COLUMN_TITLES, GROUP_COLUMNS, StudyResults
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
 Line = dict[str, Any]
@@ -98,7 +98,7 @@ def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
                     text + "".join(f" [{numbers[x]}]" for x in line["remarks"])
                     for text, line in zip(texts, results.summary, strict=True)
                 ]
-            shown.append((name, texts))
+            shown.append((COLUMN_TITLES.get(name, name), texts))
     return shown
 
 
