@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +14,21 @@ from calibration.observability import Observability
 from calibration.result import CalibrationResult
 from calibration.robot_update import write_robot
 from carosac_toolkit.base.tables import Rows, fit, terminal_width, wrapped
+from carosac_toolkit.pictures.saving import picture_files
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
     made_with,
     page,
-    picture,
+    pictures,
     repeat,
     table,
     warnings,
     write_files,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",
@@ -104,11 +109,11 @@ class ReportContent:
 
     Attributes:
         parts: HTML, in order.
-        images: PNG and caption by file name without suffix.
+        images: Figure and caption by file name without suffix.
     """
 
     parts: Sequence[str]
-    images: Mapping[str, tuple[bytes, str]]
+    images: Mapping[str, tuple[Figure, str]]
 
 
 def write_report(
@@ -133,19 +138,20 @@ def write_report(
     Returns:
         The files, the report last.
     """
+    files = picture_files({name: figure for name, (figure, _) in content.images.items()})
+    captions = {name: caption for name, (_, caption) in content.images.items()}
     document = page(
         title,
         [
             *warnings(result.warnings),
             bullets(result.sentences()),
             *content.parts,
-            *(picture(image, caption) for image, caption in content.images.values()),
+            *pictures(files, captions),
             "<h2>Provenance</h2>",
             definitions({**provenance, **made_with()}),
             repeat(command),
         ],
     )
-    files = {f"{name}.png": image for name, (image, _) in content.images.items()}
     return write_files(folder, {**files, "report.html": document.encode()})
 
 
