@@ -13,6 +13,7 @@ from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
 from calibration.result import CalibrationResult
 from calibration.robot_update import write_robot
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import Rows, fit, terminal_width, wrapped
 from carosac_toolkit.pictures.saving import picture_files
 from carosac_toolkit.reports.page import (
@@ -55,9 +56,9 @@ def parameter_rows(estimate: ParameterEstimate) -> Rows:
                 name,
                 word,
                 f"{start * factor:.{digits}f}",
-                f"{prior * factor:.2g}" if np.isfinite(prior) else "nothing",
+                plain(prior * factor, 2) if np.isfinite(prior) else "nothing",
                 f"{value * factor:.{digits}f}",
-                f"{sigma * factor:.2g}",
+                plain(sigma * factor, 2),
                 f"{moved * factor:+.{digits}f}",
                 f"{abs(moved) / prior:.1f}" if np.isfinite(prior) else "-",
             )

@@ -24,6 +24,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, OutputFolder, RobotOptions
 from carosac_toolkit.cli.position_option import Place
@@ -207,14 +208,14 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         print(f"{title}: {region.sentence()}.\n")
         size = region.grid.cell * len(region.verdicts.margin)
         print(
-            f"  {region.volume:.4g} m^3 of {size:.4g} m^3, box {_vector(lower)} to "
+            f"  {plain(region.volume, 4)} m^3 of {plain(size, 4)} m^3, box {_vector(lower)} to "
             f"{_vector(upper)} m, {len(region.verdicts.margin)} positions"
         )
         inside = region.verdicts.margin[region.verdicts.inside]
         if len(inside):
             print(
-                f"  margin inside: {inside.min():.4g} to {inside.max():.4g} N, "
-                f"median {np.median(inside):.4g} N"
+                f"  margin inside: {plain(inside.min(), 4)} to {plain(inside.max(), 4)} N, "
+                f"median {plain(np.median(inside), 4)} N"
             )
         for part in slices:
             print(f"  slice {_name(part.grid)} m, to the faces of the box: {part.share:.1%} inside")
@@ -240,9 +241,9 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         change = _changes(regions)
         by = change["margin_change_N"]
         text = (
-            f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
-            f"workspace of straight cables and adds {change['gained']} "
-            f"({change['gained_m3']:.3g} m^3)"
+            f"sag takes {change['lost']} positions ({plain(change['lost_m3'], 3)} m^3) away from "
+            f"the workspace of straight cables and adds {change['gained']} "
+            f"({plain(change['gained_m3'], 3)} m^3)"
         )
         if by["median"] is not None:
             text += (
@@ -254,7 +255,7 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
 
 def _vector(values: Array) -> str:
     """Format a vector."""
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(plain(value, 4) for value in values) + ")"
 
 
 def _changes(regions: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
@@ -203,7 +204,7 @@ def _consistency(results: StudyResults, group: int) -> str | None:
     if low <= mean <= high:
         return f"{label} is consistent: NEES of the pose {mean:.2f}, in the {band}."
     verdict = "overconfident" if mean > high else "underconfident"
-    return f"{label} is {verdict}: NEES of the pose {mean:.3g}, outside the {band}."
+    return f"{label} is {verdict}: NEES of the pose {plain(mean, 3)}, outside the {band}."
 
 
 def _believer(results: StudyResults, group: int) -> str:

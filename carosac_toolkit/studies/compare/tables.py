@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import Rows, counted
 from carosac_toolkit.studies.compare.results import AXIS_NAMES, COLUMN_TITLES, StudyResults
 from carosac_toolkit.studies.compare.terminal_table import (
@@ -145,7 +146,7 @@ def _square(value: dict[str, Any] | None) -> str:
         return "-"
     low, high = value["band"]
     mark = "+" if value["mean"] > high else "-" if value["mean"] < low else " "
-    return f"{value['mean']:.3g}{mark}"
+    return f"{plain(value['mean'], 3)}{mark}"
 
 
 def _millimetres(metres: float | None) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import aligned, wrapped
 from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
 from carosac_toolkit.studies.compare.results import COLUMN_TITLES, GROUP_COLUMNS, StudyResults
@@ -180,7 +181,7 @@ def _nees(line: Line) -> str:
         return "-"
     low, high = value["band"]
     mark = "+" if value["mean"] > high else "-" if value["mean"] < low else ""
-    return f"{value['mean']:.3g}{mark}"
+    return f"{plain(value['mean'], 3)}{mark}"
 
 
 def _lost(line: Line) -> bool:
