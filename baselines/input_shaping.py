@@ -97,6 +97,7 @@ class InputShaping:
             each mode that is shaped, or a single one for all directions: without preview the
             platform is late by it along the shaped direction.
         modes: How many modes it shapes.
+        feedback: False if its commands follow from the reference alone, with a gain of 0.
     """
 
     Settings: ClassVar = InputShapingSettings
@@ -112,6 +113,7 @@ class InputShaping:
         self.modes = _slow_modes(robot, frequency_max_of(robot, settings))
         self.lag = self._largest_delays()
         self.period = settings.period
+        self.feedback = settings.gain > 0.0
         lead = delay + (float(self.lag.max(initial=0.0)) if settings.preview else 0.0)
         self.horizon = settings.period * float(np.ceil(lead / settings.period + 1e-9))
         self._forget(1)

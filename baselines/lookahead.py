@@ -85,7 +85,13 @@ class Lookahead:
 
 
 class LookaheadController(ABC):
-    """A controller that sends the lengths of the pose ahead; subclasses say which lengths."""
+    """A controller that sends the lengths of the pose ahead; subclasses say which lengths.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead of now it needs the reference [s].
+        feedback: False if its commands follow from the reference alone, with a gain of 0.
+    """
 
     Settings: ClassVar = LookaheadSettings
     batched: ClassVar = True
@@ -95,6 +101,7 @@ class LookaheadController(ABC):
         self._ahead = Lookahead(robot, settings)
         self.period = settings.period
         self.horizon = self._ahead.horizon
+        self.feedback = settings.gain > 0.0
 
     @classmethod
     def build(

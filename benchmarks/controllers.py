@@ -26,6 +26,7 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, series, styled
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.robot import Robot
@@ -353,12 +354,13 @@ def endurance(name: str, steps: int = STEPS) -> tuple[str, ...]:
             str(record.softened), str(record.held), typical, worst)  # fmt: skip
 
 
+@styled
 def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
     """Tracking error and sway under wrong parameters."""
-    from carosac_toolkit.pictures.drawing import new_figure
-    from carosac_toolkit.pictures.style import SERIES_COLORS
+    from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_log, set_title
+    from carosac_toolkit.pictures.saving import save_picture
 
-    figure = new_figure(9.0, 6.0)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.6)
     grid = figure.subplots(2, len(ROBOTS), sharex=True)
     width = 0.8 / len(names)
     for column, robot in enumerate(ROBOTS):
@@ -374,16 +376,22 @@ def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
                     for wrong in WRONG
                 ]  # fmt: skip
                 place = np.arange(len(WRONG)) + (k - 0.5 * (len(names) - 1)) * width
-                axes.bar(place, values, width, color=SERIES_COLORS[k], label=name)
-            axes.set_yscale("log")
-            axes.set_ylabel(label)
-            axes.grid(axis="y", alpha=0.3)
+                look = series(k)
+                axes.bar(
+                    place, values, width, color=look.color, hatch=look.hatch, edgecolor="white",
+                    lw=0.0, label=name,
+                )  # fmt: skip
+            set_log(axes, "y")
+            axes.set(ylabel=label, axisbelow=True)
+            axes.grid(axis="y", alpha=0.25)
             axes.set_xticks(np.arange(len(WRONG)), list(WRONG), rotation=30, ha="right")
             if line == 0:
                 axes.set_title(robot)
-    handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(names))
-    figure.savefig(FIGURE, dpi=120)
+    set_title(
+        figure, f"{', '.join(ROBOTS)}: fast moves of a plant that differs from the robot file"
+    )
+    put_legend(figure, grid[0][0])
+    save_picture(figure, FIGURE)
 
 
 def tasks_of(names: Sequence[str], seeds: int) -> tuple[list[Task], list[Task]]:

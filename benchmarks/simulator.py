@@ -18,11 +18,20 @@ from benchmarks import mujoco_cables
 from benchmarks.mujoco_cables import CABLE_DRAG, cpu_time, rms, settle_errors, swing_path
 from benchmarks.results import table, write_section
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_title
+from carosac_toolkit.pictures.saving import save_picture
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    SERIES_COLORS,
+    SERIES_MARKERS,
+    styled,
+)
 from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
 COMMAND = "python -m benchmarks.simulator"
 PICTURE = Path(__file__).parent / "simulator.png"
+DISTANCE_MIN_MM = 1e-7  # [mm] that is drawn
 CONTROL = 0.1  # s, one control step of the throughput
 REPEATS = 30
 
@@ -160,35 +169,33 @@ def smooth_motion(
     return call, simulator
 
 
+@styled
 def draw(rows: list[dict[str, Any]]) -> None:
-    """Accuracy against speed, both ways of measuring accuracy; letters stand for the rows."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.5, 4.6), layout="constrained")
-    *panels, names = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.5))
+    """Accuracy against speed, both ways of measuring accuracy; each row has a mark of its own."""
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.4)
+    panels = figure.subplots(1, 2)
     for panel, key, title in (
         (panels[0], "settle_mm", "at rest, from the exact equilibrium"),
         (panels[1], "swing_points_mm", "in a swing of 12 s, from 10 point masses at 16 µs"),
     ):
-        for letter, row in zip("abcdefghijklmnop", rows, strict=False):
-            x, y = 1.0 / row["cpu_s_per_s"], max(row[key], 1e-7)
-            color = "tab:orange" if row["model"].startswith("MuJoCo") else "tab:blue"
-            panel.plot(x, y, "o", color=color, ms=13, alpha=0.75)
-            panel.text(x, y, letter, ha="center", va="center", fontsize=8, color="white")
+        for k, row in enumerate(rows):
+            x, y = 1.0 / row["cpu_s_per_s"], max(row[key], DISTANCE_MIN_MM)
+            panel.plot(
+                x, y, SERIES_MARKERS[k % len(SERIES_MARKERS)], ms=6, alpha=0.8, ls="",
+                color=SERIES_COLORS[int(row["model"].startswith("MuJoCo"))],
+                mfc="none" if k >= len(SERIES_MARKERS) else None,
+                label=f"{row['model']}, {1e3 * row['step_s']:g} ms",
+            )  # fmt: skip
         panel.set(
             xscale="log", yscale="log", xlabel="times real time, one world on one core",
             ylabel="distance [mm]",
         )  # fmt: skip
-        panel.set_title(title, fontsize=10)
-        panel.grid(alpha=0.3)
+        panel.set_title(title)
+        panel.grid(alpha=0.25)
         panel.margins(0.1)
-    names.axis("off")
-    lines = [
-        f"{letter}  {row['model']}, {1e3 * row['step_s']:g} ms"
-        for letter, row in zip("abcdefghijklmnop", rows, strict=False)
-    ]
-    names.text(0.0, 0.97, "\n".join(lines), va="top", fontsize=8.5, linespacing=1.6)
-    figure.savefig(PICTURE, dpi=130)
+    set_title(figure, "carosac: accuracy and speed of simulators, ours (blue) and MuJoCo")
+    put_legend(figure, panels[0])
+    save_picture(figure, PICTURE)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,18 +13,23 @@ from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
 from calibration.result import CalibrationResult
 from calibration.robot_update import write_robot
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import Rows, fit, terminal_width, wrapped
+from carosac_toolkit.pictures.saving import picture_files
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
     made_with,
     page,
-    picture,
+    pictures,
     repeat,
     table,
     warnings,
     write_files,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",
@@ -50,9 +56,9 @@ def parameter_rows(estimate: ParameterEstimate) -> Rows:
                 name,
                 word,
                 f"{start * factor:.{digits}f}",
-                f"{prior * factor:.2g}" if np.isfinite(prior) else "nothing",
+                plain(prior * factor, 2) if np.isfinite(prior) else "nothing",
                 f"{value * factor:.{digits}f}",
-                f"{sigma * factor:.2g}",
+                plain(sigma * factor, 2),
                 f"{moved * factor:+.{digits}f}",
                 f"{abs(moved) / prior:.1f}" if np.isfinite(prior) else "-",
             )
@@ -104,11 +110,11 @@ class ReportContent:
 
     Attributes:
         parts: HTML, in order.
-        images: PNG and caption by file name without suffix.
+        images: Figure and caption by file name without suffix.
     """
 
     parts: Sequence[str]
-    images: Mapping[str, tuple[bytes, str]]
+    images: Mapping[str, tuple[Figure, str]]
 
 
 def write_report(
@@ -133,19 +139,20 @@ def write_report(
     Returns:
         The files, the report last.
     """
+    files = picture_files({name: figure for name, (figure, _) in content.images.items()})
+    captions = {name: caption for name, (_, caption) in content.images.items()}
     document = page(
         title,
         [
             *warnings(result.warnings),
             bullets(result.sentences()),
             *content.parts,
-            *(picture(image, caption) for image, caption in content.images.values()),
+            *pictures(files, captions),
             "<h2>Provenance</h2>",
             definitions({**provenance, **made_with()}),
             repeat(command),
         ],
     )
-    files = {f"{name}.png": image for name, (image, _) in content.images.items()}
     return write_files(folder, {**files, "report.html": document.encode()})
 
 

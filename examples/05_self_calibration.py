@@ -53,12 +53,12 @@ for panel, axis in ((above, 1), (side, 2)):
     for start, end in zip(guess.exit_points[:, rows], exits[:, rows], strict=True):
         panel.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": "0.6"})
     panel.plot(*guess.exit_points[:, rows].T, "^", color="0.6", label="exit points, guessed")
-    panel.plot(*exits[:, rows].T, "^", color="tab:blue", label="exit points, found")
+    panel.plot(*exits[:, rows].T, "^", color="#0072b2", label="exit points, found")
     panel.plot(*np.array(EXITS)[:, rows].T, "k+", ms=11, label="exit points, true")
     panel.plot(*result.position[unknown][:, rows].T, ".", color="0.3", label="positions, found")
-    panel.plot(*written[: len(KNOWN), rows].T, "s", mfc="none", color="tab:orange", label="known")
-    panel.plot(*result.position[SLIPPED, rows], "rx", ms=8, label="left out")
-    panel.plot(*written[MISWRITTEN, rows], "rx", ms=8)
+    panel.plot(*written[: len(KNOWN), rows].T, "s", mfc="none", color="#44aa99", label="known")
+    wrong = np.array([result.position[SLIPPED, rows], written[MISWRITTEN, rows]])
+    panel.plot(*wrong.T, "x", color="#d55e00", ms=8, mew=2, label="left out")
     panel.set(xlabel="x [m]", ylabel=f"{'xyz'[axis]} [m]", aspect="equal")
 above.set_title("From above")
 side.set_title("From the side")
@@ -68,7 +68,7 @@ figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=Fals
 order = np.argsort(sigma)
 order = order[unknown[order]]
 count = np.arange(len(order))
-sizes.bar(count, error[order], color="tab:blue", label="error")
+sizes.bar(count, error[order], color="#77aadd", label="error")
 sizes.plot(count, sigma[order], "k_", ms=6, label="1 sigma (norm)")
 sizes.set(
     xlabel="unknown positions, surest first",

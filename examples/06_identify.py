@@ -29,16 +29,18 @@ figure, (motion, learnt) = plt.subplots(
 )
 time, measured = found.measured.time, found.measured.position
 for label, position, color in (
-    ("nominal robot", found.position_before, "tab:gray"),
-    ("identified robot", found.position_after, "tab:blue"),
+    ("nominal robot", found.position_before, "0.6"),
+    ("identified robot", found.position_after, "#0072b2"),
 ):  # fmt: skip
     motion.plot(time, 1e3 * (position - measured)[:, 0], color=color, lw=1.2, label=label)
-motion.axvline(run.recording.time[cut], color="tab:red", lw=1.5)
+motion.axvline(run.recording.time[cut], color="#d55e00", lw=1.5)
 motion.text(
     run.recording.time[cut], 1.01, "not fitted", transform=motion.get_xaxis_transform(),
-    color="tab:red",
+    color="#d55e00",
 )  # fmt: skip
-motion.set(xlabel="time [s]", ylabel="x, simulated minus measured [mm]", title="Open loop")
+motion.set(
+    xlabel="time [s]", ylabel="x, simulated minus measured [mm]", title=f"{robot.name}, open loop"
+)
 motion.legend(frameon=False, loc="lower left")
 motion.grid(alpha=0.3)
 
@@ -46,7 +48,7 @@ names = [name for name in found.estimate.names if "[" not in name]  # those of n
 estimate = found.estimate.select(names)
 truth = (values_of(run.plant, names) - estimate.value) / estimate.sigma
 rows = np.arange(len(names))
-learnt.errorbar(np.zeros(len(names)), rows, xerr=1.0, fmt="o", color="tab:blue", label="estimate")
+learnt.errorbar(np.zeros(len(names)), rows, xerr=1.0, fmt="o", color="#0072b2", label="estimate")
 learnt.plot(truth, rows, "k|", ms=14, mew=2.0, label="truth")
 learnt.set_yticks(rows, names)
 learnt.set(xlabel="in its sigmas", title="Estimated and true parameters", xlim=(-4.0, 4.0))

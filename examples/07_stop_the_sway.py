@@ -61,7 +61,11 @@ for (name, log), (color, line) in zip(logs.items(), LINES, strict=True):
     residual[name] = 1e3 * np.linalg.norm(late.std(axis=0))
     where.plot(log.time, 1e3 * error, color=color, ls=line, lw=1.4, label=name)
 where.axvspan(0.0, path.duration, color="0.93", zorder=0)
-where.set(xlabel="time [s]", ylabel="x, platform minus path [mm]", title="Who stops the sway")
+where.set(
+    xlabel="time [s]",
+    ylabel="x, platform minus path [mm]",
+    title=f"{robot.name}: who stops the sway",
+)
 where.set_ylim(-750.0, 650.0)
 where.legend(frameon=False, loc="upper center", ncols=3)
 

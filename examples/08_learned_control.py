@@ -64,7 +64,7 @@ for (name, log), (color, line) in zip(logs.items(), LINES, strict=True):
     time.plot(log.time, 1e3 * error[:, 0], color=color, ls=line, lw=1.4, label=name)
 target = logs["learned in real time"].reference[:, 0]
 space.plot(target[:, 0], target[:, 2], color="black", lw=1.2, ls="--", label="target")
-space.set(xlabel="x [m]", ylabel="z [m]", title="Where the platform goes")
+space.set(xlabel="x [m]", ylabel="z [m]", title=f"{robot.name}: where the platform goes")
 time.axvspan(0.0, path.duration, color="0.93", zorder=0)
 time.set(xlabel="time [s]", ylabel="x, platform minus path [mm]", title="What is left of the sway")
 figure.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=4)

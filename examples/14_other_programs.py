@@ -44,20 +44,21 @@ effects = {  # [mm]; a constant of each cable is no error, as homing takes it aw
 }
 effects = {name: (v - np.median(v[fine], axis=0))[fine] for name, v in effects.items()}
 
+COLORS = ("#ee8866", "#77aadd")
 figure = plt.figure(figsize=(11.5, 4.4), layout="constrained")
 left, right = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
 space = figure.add_subplot(left, projection="3d")
 hanging = ct.statics.inverse_kinematics(pulleys, [[0.8, 0.4, 0.8]])
 shapes = ct.statics.cable_shape(pulleys, hanging)[0]  # (n, samples, 3)
 for line in shapes:
-    space.plot(*line.T, color="tab:blue", lw=1.0)
+    space.plot(*line.T, color="#0072b2", lw=1.0)
     space.scatter(*line[0], color="0.2", s=14)
 for ring in ([0, 2, 4, 6, 0], [7, 1, 3, 5, 7]):  # anchor points below and above
     space.plot(*shapes[ring, -1].T, color="0.2", lw=1.6)
 space.set(
     xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Gantry from CASPR, at (0.8, 0.4, 0.8) m"
 )
-space.set_box_aspect((6.3, 4.6, 3.3))
+space.set_box_aspect((6.3, 4.6, 3.3), zoom=0.9)
 
 axes = figure.add_subplot(right)
 for k, (name, values) in enumerate(effects.items()):
@@ -66,10 +67,10 @@ for k, (name, values) in enumerate(effects.items()):
         values, positions=at, widths=0.3, whis=(0, 100), patch_artist=True, manage_ticks=False
     )
     for patch in box["boxes"]:
-        patch.set_facecolor(("tab:orange", "tab:blue")[k])
+        patch.set_facecolor(COLORS[k])
     for median in box["medians"]:
         median.set_color("black")
-    axes.plot([], [], color=("tab:orange", "tab:blue")[k], lw=8, label=name)
+    axes.plot([], [], color=COLORS[k], lw=8, label=name)
 axes.axhline(0.0, color="0.7", lw=0.8, zorder=0)
 axes.set_xticks(range(pulleys.n), [name.removeprefix("cable ") for name in pulleys.cable_names])
 axes.set(xlabel="cable", ylabel="length beside CASPR's, minus its median [mm]")

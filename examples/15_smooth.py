@@ -28,8 +28,8 @@ measured, compared = found.measured, found.compared  # withheld poses, and the e
 rest = ct.statics.forward_kinematics(robot, run.unstrained_length).position
 solver = np.column_stack([np.interp(measured.time, run.time, rest[:, i]) for i in range(3)])
 errors = {
-    "kinematic solver, lengths alone": (solver - measured.position, "tab:orange"),
-    "smoother, with the other poses": (compared.position - measured.position, "tab:blue"),
+    "kinematic solver, lengths alone": (solver - measured.position, "#d55e00"),
+    "smoother, with the other poses": (compared.position - measured.position, "#0072b2"),
 }
 rmse = {name: 1e3 * np.sqrt((e**2).sum(axis=1).mean()) for name, (e, _) in errors.items()}
 
@@ -37,8 +37,8 @@ figure, (path, error, spread) = plt.subplots(
     1, 3, figsize=(13.5, 4.0), layout="constrained", width_ratios=(1.2, 1.2, 0.8)
 )
 path.plot(measured.time, measured.position[:, 0], "k.", ms=3, label="withheld poses")
-path.plot(measured.time, solver[:, 0], color="tab:orange", lw=1.0, label="kinematic solver")
-path.plot(found.time, found.position[:, 0], color="tab:blue", lw=1.2, label="smoother")
+path.plot(measured.time, solver[:, 0], color="#d55e00", ls="--", lw=1.2, label="kinematic solver")
+path.plot(found.time, found.position[:, 0], color="#0072b2", lw=1.2, label="smoother")
 path.set(xlabel="time [s]", ylabel="x [m]", title="carosac, across the sway")
 path.legend(frameon=False)
 
@@ -51,6 +51,7 @@ error.plot(
     found.time, 2e3 * sigma, "k--", lw=0.9, label="two sigma of the smoother (poses: 1 mm an axis)"
 )
 error.set(xlabel="time [s]", ylabel="position error [mm]", yscale="log", ylim=(0.2, 5000.0))
+error.set_title("Distance from withheld poses")
 error.legend(frameon=False, loc="upper right", fontsize=8)
 spread.set(xlabel="position error [mm]", ylabel="poses", xscale="log", title="Withheld poses")
 figure.savefig("15_smooth.png", dpi=120)

@@ -47,7 +47,7 @@ class Tilted:
 
 
 LABELS = ("straight line", "my controller: straight line, tilted", "kinematic solver")
-COLOURS = ("tab:orange", "tab:green", "tab:blue")
+LINES = (("#d55e00", "--"), ("#44aa99", "-"), ("#0072b2", ":"))
 SEEDS = (0,)
 
 
@@ -67,20 +67,19 @@ def main():
     }  # [mm], one per seed
 
     figure, (seen, over) = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained")
-    for name, label, colour in zip(study.controllers, LABELS, COLOURS, strict=True):
+    for name, label, (color, line) in zip(study.controllers, LABELS, LINES, strict=True):
         first = next(row for row in rows if row["controller"] == name and row["seed"] == 0)
         series = {k: np.array(v) for k, v in json.loads(first["series"]).items()}
         path, asked = series["position_m"], series["reference_m"]
-        seen.plot(path[:, 0], path[:, 1], color=colour, label=label)
+        label = f"{label}, RMSE {error[name].mean():.0f} mm"
+        seen.plot(path[:, 0], path[:, 1], color=color, ls=line, label=label)
         off = 1e3 * np.linalg.norm(path - asked, axis=1)
-        over.plot(series["time_s"], off, color=colour,
-                  label=f"{label}, {error[name].mean():.0f} mm")  # fmt: skip
+        over.plot(series["time_s"], off, color=color, ls=line)
     seen.plot(asked[:, 0], asked[:, 1], color="k", ls="--", lw=1.0, label="reference")
-    seen.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="Seen from above, seed 0")
+    seen.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="carosac from above, seed 0")
     over.set(xlabel="time [s]", ylabel="distance from the reference [mm]", yscale="log",
-             ylim=(1.0, 600.0), title="Tracking error, seed 0, and its RMSE")  # fmt: skip
-    for axes in (seen, over):
-        axes.legend(loc="best", fontsize=8)
+             ylim=(1.0, 600.0), title="Tracking error")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     figure.savefig("my_controller.png", dpi=120)
     print(f"tracking error of my controller: {error[study.controllers[1]].mean():.0f} mm")
 

@@ -13,6 +13,8 @@ from learned.moving_worlds import MovingSettings
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, RewardSettings
 from learned.target_paths import PathSettings
 
+PresetName = Literal["paper", "carosac", "residual"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Td3Settings:

@@ -15,6 +15,7 @@ import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.physics.kernel_modules import compile_kernels
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
 from carosac_toolkit.studies.run.cluster import default_workers
@@ -178,6 +179,9 @@ class TrainingStudy:
         """
         if workers is None and scheduler is None:
             workers = default_workers()
+        if workers:
+            for device in {training.device for training in self.trainings}:
+                compile_kernels(("learned", "sim_warp"), device)
         gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
         return run_cases(
             [training.case() for training in self.trainings], CASE_FUNCTION, folder=self.folder,

@@ -104,7 +104,7 @@ def run(options: Options) -> CommandResult:
     source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
     named = _named(origin, output.parent)
     smoothed = recording_of(result, recording, origin.robot, source, named)
-    files = write(folder, result, origin.robot.name)
+    files = write(folder, result)
     save_recording(smoothed, output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
     sys.stdout.flush()

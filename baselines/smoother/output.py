@@ -12,15 +12,15 @@ from baselines.smoother.pictures import draw_estimate, draw_unknowns
 from baselines.smoother.result import Smoothed
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.pictures.saving import png
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS, picture_files
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import write_files
 from carosac_toolkit.robot.robot import Robot
 
 TABLE_FILE = "estimate.parquet"
-PICTURE_FILES = ("estimate.png", "unknowns.png")
-REPORT_FILES = (TABLE_FILE, *PICTURE_FILES)
+PICTURES = {"estimate": draw_estimate, "unknowns": draw_unknowns}
+REPORT_FILES = (TABLE_FILE, *(f"{name}.{end}" for name in PICTURES for end in PICTURE_FORMATS))
 
 
 def recording_of(
@@ -91,20 +91,15 @@ def _quaternion(result: Smoothed) -> Array:
     return PoseSamples.from_rotation(result.time, result.position, result.rotation).quaternion
 
 
-def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
+def write(folder: Path, result: Smoothed) -> list[Path]:
     """Write table and pictures; every file appears whole, or nothing does.
 
     Args:
         folder: Made if need be; files of the same names are replaced.
         result: What was found.
-        robot: Its name.
     """
-    files = {
-        TABLE_FILE: _parquet(table_of(result)),
-        PICTURE_FILES[0]: png(draw_estimate(result, robot)),
-        PICTURE_FILES[1]: png(draw_unknowns(result, robot)),
-    }
-    return write_files(folder, files)
+    pictures = picture_files({name: draw(result) for name, draw in PICTURES.items()})
+    return write_files(folder, {TABLE_FILE: _parquet(table_of(result)), **pictures})
 
 
 def _parquet(columns: dict[str, Array]) -> bytes:

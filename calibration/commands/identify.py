@@ -95,7 +95,7 @@ def run(options: Options) -> CommandResult:
         provenance=_provenance(options, recording, robot_source),
         command=command,
     )
-    print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
+    print(f"\nreport: {files[-1]}, pictures beside it")
     name = Path(options.recording).name
     output = None if result.against_mean.useless else options.output
     write_new_robot(

@@ -7,59 +7,94 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.identification.result import Identification
-from calibration.pictures import COLOR_AFTER, COLOR_BEFORE
-from carosac_toolkit.pictures.drawing import new_figure
-from carosac_toolkit.pictures.style import REST_COLOR, SERIES_COLORS
+from calibration.pictures import BAR_WIDTH, COLOR_AFTER, COLOR_BEFORE
+from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_title
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    MEASURED_COLOR,
+    REST_COLOR,
+    SERIES_COLORS,
+    SERIES_HATCHES,
+    SERIES_LINES,
+    styled,
+)
+from carosac_toolkit.pictures.units import unit_of
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+NUMBERED_RESTS_MAX, UPRIGHT_RESTS_MAX = 20, 10  # rests up to which each has its number, upright
 
+
+@styled
 def draw_motion(result: Identification, recording: Recording) -> Figure:
     """Draw the position errors over time, before and after, and the angle after."""
-    figure = new_figure(12.0, 8.5)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 5.6)
     rows = figure.subplots(4, 1, sharex=True)
     time = result.measured.time
     rests = find_phases(recording.time, recording.unstrained_length).rests
-    limit = recording.time[min(result.train.stop, len(recording.time) - 1)]
+    before = result.position_before - result.measured.position
+    unit, factor = unit_of([before, result.errors[:, :3]])
     for i, axes in enumerate(rows):
-        for first, end in rests:
-            axes.axvspan(recording.time[first], recording.time[end - 1], color=REST_COLOR, lw=0)
+        for k, (first, end) in enumerate(rests):
+            axes.axvspan(
+                recording.time[first], recording.time[end - 1], color=REST_COLOR, lw=0, zorder=0,
+                label="winches at rest" if k == 0 else None,
+            )  # fmt: skip
         if i < 3:
-            before = (result.position_before - result.measured.position)[:, i] * 1e3
-            axes.plot(time, before, color=COLOR_BEFORE, lw=0.9, label="before")
-            axes.plot(time, result.errors[:, i] * 1e3, color=COLOR_AFTER, lw=1.1, label="after")
-            axes.set_ylabel(f"error in {'xyz'[i]} [mm]")
+            axes.plot(
+                time, factor * before[:, i], color=COLOR_BEFORE, ls=SERIES_LINES[1], label="before"
+            )
+            axes.plot(time, factor * result.errors[:, i], color=COLOR_AFTER, label="after")
+            axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
+            axes.set_ylabel(f"error in {'xyz'[i]} [{unit}]")
         else:
             angle = np.degrees(np.linalg.norm(result.errors[:, 3:], axis=1))
-            axes.plot(time, angle, color=COLOR_AFTER, lw=1.0)
-            axes.set_ylabel("angle after [deg]")
+            axes.plot(time, angle, color=COLOR_AFTER)
+            axes.set(ylabel="angle after [deg]", ylim=(0.0, None))
         if result.test is not None:
-            axes.axvline(limit, color=SERIES_COLORS[0], lw=1.5)
+            limit = recording.time[min(result.train.stop, len(recording.time) - 1)]
+            axes.axvline(
+                limit, color=SERIES_COLORS[1], lw=1.5, ls=SERIES_LINES[2],
+                label="from here on kept back",
+            )  # fmt: skip
         axes.grid(alpha=0.25)
-    if result.test is not None:
-        rows[0].annotate(
-            "kept back from here on", (limit, 0.97), xycoords=("data", "axes fraction"),
-            xytext=(6, 0), textcoords="offset points", va="top", fontsize=9, color=SERIES_COLORS[0],
-        )  # fmt: skip
-    rows[0].legend(fontsize=9, loc="upper left", ncols=2)
+        axes.margins(x=0.005)
+    figure.align_ylabels(rows)
     rows[-1].set_xlabel("time [s]")
-    figure.suptitle(f"{result.robot.name}: open-loop simulation minus measured")
+    set_title(figure, f"{result.robot.name}: open-loop simulation minus measured pose")
+    put_legend(figure, rows[0])
     return figure
 
 
+@styled
 def draw_rests(result: Identification) -> Figure:
     """Draw the error of the equilibrium for each rest, before and after."""
-    figure = new_figure(10.0, 3.8)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 2.6)
     axes = figure.subplots()
     place = np.arange(len(result.rests.starts))
-    axes.bar(place - 0.2, result.rests.before * 1e3, 0.4, color=COLOR_BEFORE, label="before")
-    axes.bar(place + 0.2, result.rests.after * 1e3, 0.4, color=COLOR_AFTER, label="after")
-    axes.set_xticks(place, [str(start) for start in result.rests.starts], fontsize=8, rotation=60)
-    axes.set(xlabel="first sample of the rest", ylabel="distance [mm]")
+    unit, factor = unit_of([result.rests.before, result.rests.after])
+    for side, error, color, hatch, label in (
+        (-0.5, result.rests.before, COLOR_BEFORE, SERIES_HATCHES[1], "before"),
+        (0.5, result.rests.after, COLOR_AFTER, SERIES_HATCHES[0], "after"),
+    ):
+        axes.bar(
+            place + side * BAR_WIDTH, factor * error, BAR_WIDTH, color=color, hatch=hatch,
+            edgecolor="white", lw=0.0, label=label,
+        )  # fmt: skip
+    numbered = place[:: -(-len(place) // NUMBERED_RESTS_MAX) or 1]
+    axes.set_xticks(
+        numbered, [str(result.rests.starts[k]) for k in numbered],
+        rotation=60 if len(numbered) > UPRIGHT_RESTS_MAX else 0,
+    )  # fmt: skip
+    axes.set(xlabel="first sample of the rest", ylabel=f"distance [{unit}]", axisbelow=True)
     axes.grid(alpha=0.25, axis="y")
-    axes.legend(fontsize=9)
-    figure.suptitle("Mean position at rest against the equilibrium of the lengths")
+    set_title(
+        figure,
+        f"{result.robot.name}: distance of the mean position at rest from the equilibrium of "
+        "the lengths",
+    )
+    put_legend(figure, axes)
     return figure

@@ -9,7 +9,6 @@ from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
 from calibration.report import ReportContent, observability_html, parameters_html
 from carosac_toolkit.base.tables import Rows
-from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import table
 
@@ -39,15 +38,18 @@ def report_content(result: Identification, recording: Recording) -> ReportConten
     """Return tables and pictures of the report on an identification from a recording."""
     images = {
         "motion": (
-            png(draw_motion(result, recording)),
-            "Error of the open-loop simulation, before and after. Grey: the winches rest. White on "
-            "the right of the line: samples that were not fitted.",
+            draw_motion(result, recording),
+            "Error of the open-loop simulation, before and after. Samples on the right of the line "
+            "were not fitted.",
         ),
         "rests": (
-            png(draw_rests(result)),
+            draw_rests(result),
             "Mean measured position of each rest against the equilibrium of its lengths.",
         ),
-        "learnt": (png(draw_learnt(result.estimate)), "Prior and posterior of each parameter."),
+        "learnt": (
+            draw_learnt(result.robot.name, result.estimate),
+            "Prior and posterior of each parameter.",
+        ),
     }
     scores = (
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "

@@ -8,6 +8,7 @@ from calibration.lengths.unknowns import LengthUnknowns
 from calibration.observability import Unobservable
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.robot import Robot
@@ -62,7 +63,7 @@ def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
         return []
     times = float(np.median(np.median(np.abs(read), axis=0) / spread))
     if times > UNIT_FACTOR_MIN or times < 1.0 / UNIT_FACTOR_MIN:
-        change = f"Readings change {times:.3g} times as much as the distances at the poses"
+        change = f"Readings change {plain(times, 3)} times as much as the distances at the poses"
         units = {1000.0: "mm", 100.0: "cm"}
         near = [word for factor, word in units.items() if 0.8 < times / factor < 1.25]
         return [f"{change}: are they in {near[0]}?" if near else f"{change}: wrong units?"]

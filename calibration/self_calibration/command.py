@@ -104,7 +104,7 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
                 *option_words(options, ("recording", "robot", "json", "seed")),
             ],
         )  # fmt: skip
-        print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
+        print(f"\nreport: {files[-1]}, pictures beside it")
     return CommandResult(result.data(), status=1 if result.warnings else 0)
 
 

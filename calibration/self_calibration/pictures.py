@@ -8,29 +8,40 @@ import numpy as np
 
 from calibration.pictures import COLOR_AFTER, COLOR_BEFORE, COLOR_OUTLIER
 from calibration.self_calibration.result import SelfCalibration
-from carosac_toolkit.pictures.drawing import new_figure
-from carosac_toolkit.pictures.style import SERIES_COLORS
+from carosac_toolkit.pictures.drawing import (
+    STANDARD_VIEWS,
+    new_figure,
+    put_legend,
+    set_plane,
+    set_title,
+)
+from carosac_toolkit.pictures.point_names import name_points_in_plane
+from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOR_KNOWN = SERIES_COLORS[0]
+COLOR_KNOWN = COLOR_OUTLIER
+AXIS_DISTANCE = 0.22  # between the axes of one sample, in distances between samples
 
 
+@styled
 def draw_layout(result: SelfCalibration) -> Figure:
     """Draw exit points before and after, and all positions, from above and from the side."""
-    figure = new_figure(12.0, 6.0)
-    above, side = figure.subplots(1, 2)
-    for axes, plane, title in ((above, (0, 1), "from above"), (side, (0, 2), "from the side")):
+    figure = new_figure(DOUBLE_COLUMN_INCH, 4.0)
+    panels = figure.subplots(1, len(STANDARD_VIEWS))
+    for axes, (plane, title) in zip(panels, STANDARD_VIEWS, strict=True):
         _draw_plane(axes, result, list(plane))
-        axes.set(xlabel=f"{'xyz'[plane[0]]} [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
-        axes.set_title(title, fontsize=10)
+        set_plane(axes, plane, title)
         axes.set_aspect("equal", adjustable="datalim")
-        axes.grid(alpha=0.25)
-    handles, labels = above.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+        axes.margins(0.1)
     count = len(result.samples)
-    figure.suptitle(f"{result.before.name}: exit points and positions of {count} samples")
+    set_title(figure, f"{result.before.name}: exit points and positions of {count} samples")
+    put_legend(figure, panels[0])
+    names = result.before.cable_names
+    after, _ = result.exit_points_of(names)
+    for axes, (plane, _) in zip(panels, STANDARD_VIEWS, strict=True):
+        name_points_in_plane(axes, list(zip(names, after[:, list(plane)], strict=True)))
     return figure
 
 
@@ -38,45 +49,45 @@ def _draw_plane(axes: Any, result: SelfCalibration, rows: list[int]) -> None:
     """Draw everything in one plane."""
     before = result.before.exit_points
     after, _ = result.exit_points_of(result.before.cable_names)
-    for i, name in enumerate(result.before.cable_names):
-        axes.plot(*np.array([before[i], after[i]])[:, rows].T, "-", color=COLOR_BEFORE, lw=0.8)
-        axes.annotate(name, after[i][rows], xytext=(5, 5), textcoords="offset points")
-    axes.plot(*before[:, rows].T, "^", color=COLOR_BEFORE, ms=7, ls="", label="exit points before")
-    axes.plot(*after[:, rows].T, "^", color=COLOR_AFTER, ms=7, ls="", label="exit points after")
-    used = result.used
-    axes.plot(*result.position[used][:, rows].T, ".", color="#404850", ms=5, label="positions")
-    known = result.is_known
-    axes.plot(
-        *result.known_position[known][:, rows].T, "s", mfc="none", color=COLOR_KNOWN, ms=7, ls="",
-        label="known positions",
-    )  # fmt: skip
-    if not used.all():
-        axes.plot(
-            *result.position[~used][:, rows].T,
-            "x",
-            color=COLOR_OUTLIER,
-            ms=7,
-            ls="",
-            label="blunders",
-        )
+    for ends in np.stack([before, after], axis=1)[:, :, rows]:
+        axes.plot(*ends.T, "-", color=COLOR_BEFORE, lw=0.8)
+    used, known = result.used, result.is_known
+    for points, look, label in (
+        (before, {"marker": "v", "color": COLOR_BEFORE, "ms": 5}, "exit points before"),
+        (after, {"marker": "^", "color": COLOR_AFTER, "ms": 5}, "exit points after"),
+        (result.position[used], {"marker": ".", "color": MEASURED_COLOR, "ms": 3}, "positions"),
+        (
+            result.known_position[known],
+            {"marker": "s", "mfc": "none", "color": COLOR_KNOWN, "ms": 5},
+            "known positions",
+        ),
+        (result.position[~used], {"marker": "x", "color": COLOR_OUTLIER, "ms": 5}, "blunders"),
+    ):
+        if len(points):
+            axes.plot(*points[:, rows].T, ls="", label=label, **look)
 
 
+@styled
 def draw_left_out(result: SelfCalibration) -> Figure:
     """Draw how far each known position is from the one predicted by everything else."""
-    figure = new_figure(9.0, 4.2)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.0)
     axes = figure.subplots()
     place = np.arange(len(result.left_out), dtype=np.float64)
-    for axis, shift in enumerate((-0.22, 0.0, 0.22)):
+    for axis, name in enumerate("xyz"):
         error = 1e3 * np.array([one.error[axis] for one in result.left_out])
         sigma = 1e3 * np.array([one.sigma[axis] for one in result.left_out])
+        look = series(axis)
         axes.errorbar(
-            place + shift, error, yerr=sigma, fmt="o", color=SERIES_COLORS[axis], capsize=3,
-            label="xyz"[axis],
+            place + (axis - 1) * AXIS_DISTANCE, error, yerr=sigma, fmt=look.marker,
+            color=look.color, capsize=2, label=name,
         )  # fmt: skip
-    axes.axhline(0.0, color="#808080", lw=0.8)
+    axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
     axes.set_xticks(place, [one.sample for one in result.left_out])
     axes.set(xlabel="sample", ylabel="predicted minus known position [mm]")
     axes.grid(alpha=0.25, axis="y")
-    axes.legend(ncols=3, frameon=False)
-    axes.set_title("Known positions left out one at a time; bars: 1 sigma", fontsize=11)
+    set_title(
+        figure,
+        f"{result.before.name}: known positions left out one at a time; bars: 1 sigma",
+    )
+    put_legend(figure, axes)
     return figure

@@ -15,7 +15,6 @@ from calibration.self_calibration.pictures import draw_layout, draw_left_out
 from calibration.self_calibration.result import SelfCalibration
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.tables import Rows
-from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.reports.page import table
 
 BLUNDER_HEADER = ("sample", "what was left out", "misfit [sigmas]")
@@ -43,13 +42,14 @@ def left_out_rows(result: SelfCalibration) -> Rows:
 
 def report_content(result: SelfCalibration) -> ReportContent:
     """Return tables and pictures of the report."""
-    names = result.before.cable_names
+    robot, names = result.before.name, result.before.cable_names
     numbers = np.arange(len(result.samples), dtype=np.float64)
     out = np.repeat(~result.used[:, None], len(names), axis=1)
     drawn = {
         "layout": (draw_layout(result), "Exit points before and after, and all positions."),
         "exit_points": (
             draw_exit_points(
+                robot,
                 names,
                 result.before.exit_points,
                 result.exit_covariance_before,
@@ -59,10 +59,10 @@ def report_content(result: SelfCalibration) -> ReportContent:
             "calibrated ones.",
         ),
         "residuals": (
-            draw_residuals(numbers, result.residual, out, names, label="sample, in order"),
+            draw_residuals(robot, numbers, result.residual, out, names, label="sample, in order"),
             "Length by the drum less straight length, by cable.",
         ),
-        "learnt": (draw_learnt(result.estimate), "Prior and posterior of each parameter."),
+        "learnt": (draw_learnt(robot, result.estimate), "Prior and posterior of each parameter."),
     }
     if result.left_out:
         drawn["left_out"] = (draw_left_out(result), "Known positions predicted from all else.")
@@ -74,8 +74,7 @@ def report_content(result: SelfCalibration) -> ReportContent:
         blunders_html(BLUNDER_HEADER, blunder_rows(result), left=2),
         "<h2>Positions</h2>" + table(POSITION_HEADER, _position_rows(result), left=1),
     ]
-    images = {name: (png(figure), caption) for name, (figure, caption) in drawn.items()}
-    return ReportContent(parts=parts, images=images)
+    return ReportContent(parts=parts, images=drawn)
 
 
 def _position_rows(result: SelfCalibration) -> Rows:

@@ -17,7 +17,6 @@ from calibration.tachymeter.tables import (
     shot_rows,
 )
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.reports.page import table
 
 
@@ -37,19 +36,20 @@ def report_content(result: TachymeterResult) -> ReportContent:
     ]
     images = {
         "site": (
-            png(draw_site(result)),
+            draw_site(result),
             "Lines of sight; ellipses: 1 sigma of the exit points, "
             f"{SIGMA_MAGNIFICATION:.0f} times larger.",
         ),
         "exit_points": (
-            png(
-                draw_exit_points(
-                    result.cables, *_before(result), *result.exit_points_of(result.cables)
-                )
+            draw_exit_points(
+                result.before.name,
+                result.cables,
+                *_before(result),
+                *result.exit_points_of(result.cables),
             ),
             "Exit points before and after; the ellipses hold 95 %.",
         ),
-        "shots": (png(draw_shots(result)), "Residuals of all readings over their own sigmas."),
+        "shots": (draw_shots(result), "Residuals of all readings over their own sigmas."),
     }
     return ReportContent(parts=parts, images=images)
 

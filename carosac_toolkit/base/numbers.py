@@ -1,4 +1,4 @@
-"""Range checks of settings; messages name field, value and allowed values."""
+"""Range checks of settings with field, value and allowed values in messages; numbers as text."""
 
 from __future__ import annotations
 
@@ -52,6 +52,17 @@ def check_fields(
         check_positive(name, getattr(settings, name))
     for name in not_negative:
         check_not_negative(name, getattr(settings, name))
+
+
+def plain(value: float, digits: int) -> str:
+    """Write a number with some significant digits, and its whole part in full: 15302, 0.0123.
+
+    Args:
+        value: The number; tiny ones keep an exponent.
+        digits: Significant digits of numbers that have no more of them before the point.
+    """
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text else text
 
 
 def is_number(value: object) -> bool:

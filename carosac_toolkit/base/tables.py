@@ -9,6 +9,8 @@ import shutil
 import textwrap
 from collections.abc import Sequence
 
+from carosac_toolkit.base.numbers import plain
+
 Rows = list[tuple[str, ...]]
 NAME_SHOWN = 28  # characters of a name
 
@@ -102,7 +104,7 @@ def _align(lines: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
 
 def _cell(value: object) -> str:
     """Print one cell."""
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    return plain(value, 5) if isinstance(value, float) else str(value)
 
 
 def _cut(name: str, shown: int) -> str:

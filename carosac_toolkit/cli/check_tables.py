@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.inspection.report import RobotReport
@@ -152,7 +153,7 @@ def _home(report: RobotReport) -> Iterator[str]:
         f"at home     {_vector(home.position[0])} m, tilt {np.degrees(report.tilt):.2f} deg, "
         f"{'stable' if home.stable[0] else 'NOT STABLE'}, residual {home.residual[0]:.1e} N"
     )
-    frequencies = ", ".join(f"{value:.3g}" for value in report.frequencies)
+    frequencies = ", ".join(plain(value, 3) for value in report.frequencies)
     yield f"natural frequencies at home [Hz]: {frequencies}"
     if (report.frequencies < 0.0).any():
         yield "  negative: this motion grows instead of oscillating, so the robot leaves home"
@@ -160,7 +161,7 @@ def _home(report: RobotReport) -> Iterator[str]:
 
 def _vector(values: Iterable[float]) -> str:
     """Write a vector."""
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(plain(value, 4) for value in values) + ")"
 
 
 def _range(values: Array) -> str:

@@ -42,7 +42,7 @@ from carosac_toolkit.studies.compare.paired import (
     ways_of,
 )
 from carosac_toolkit.studies.compare.results import StudyResults
-from carosac_toolkit.studies.compare.study import Study
+from carosac_toolkit.studies.compare.study import STUDY_AXES, Study
 from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
@@ -119,7 +119,7 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
         estimators=estimators,
         sensors=sensors,
         trajectories=options.trajectories,
-        perturbations=options.perturbations,
+        perturbations=options.conditions,
         seeds=range(options.seed, options.seed + count),
         driver=options.driver,
         speed_max=options.speed,
@@ -148,10 +148,14 @@ def _animation(options: Options, results: StudyResults, width: int) -> bytes | N
 
 def _words(options: Options, study: Study) -> list[str]:
     """Return the command line that repeats this study."""
-    axes = ("robots", "controllers", "estimators", "sensors", "trajectories", "perturbations")
+    axes = {name: f"--{name}" for name in STUDY_AXES} | {"perturbations": "--conditions"}
     return [
         "carosac", "compare",
-        *(word for name in axes for word in (f"--{name}", *getattr(study, name))),
+        *(
+            word
+            for name, option in axes.items()
+            for word in (option, *getattr(study, name))
+        ),
         "--seed", str(options.seed), "--seeds", str(len(study.seed_list)),
         "--driver", options.driver, "--timeout", f"{options.timeout:g}",
         *(["--baseline", options.baseline] if options.baseline is not None else []),
@@ -174,7 +178,8 @@ def _what(study: Study) -> str:
         own = "as fast as the file says" if len(files) == 1 else "as fast as the files say"
         paths.append(f"{', '.join(files)} {own}")
     return (
-        f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, plants drawn from "
+        f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, "
+        f"{'condition' if len(study.perturbations) == 1 else 'conditions'} "
         f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
         f"{counted(len(study.seed_list), 'seed')}, in all {counted(len(study.cases()), 'case')}"
     )

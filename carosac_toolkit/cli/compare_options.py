@@ -42,11 +42,11 @@ class Options(CommonOptions):
     """Trajectories of the catalogue, or files: a .csv with the columns time_s, position_x_m,
     position_y_m and position_z_m, or a recording or the folder with one; its speeds are the
     file's."""
-    perturbations: Annotated[
+    conditions: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(aliases=["--perturbation", "--condition", "--conditions"]),
+        tyro.conf.arg(aliases=["--condition", "--perturbation", "--perturbations"]),
     ] = (DEFAULT_CONDITION,)
-    """Conditions that plants are drawn from: how far they differ from the nominal robot. A name
+    """Conditions: how far plants, drawn at random, differ from the nominal robot. A name
     (nominal-2, nominal-1, none) or a YAML file such as my-hall.yaml."""
     seeds: int | None = None
     """Number of draws of plant, path and noise, with seeds counted up from --seed; by default

@@ -6,7 +6,13 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from typing import NamedTuple
 
-from carosac_toolkit.cli.option_source import Option, read_names, read_options, read_summary
+from carosac_toolkit.cli.option_source import (
+    Option,
+    read_names,
+    read_options,
+    read_stems,
+    read_summary,
+)
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.recordings.bundled import list_recordings
 from carosac_toolkit.robot.bundled_names import list_robots
@@ -93,10 +99,10 @@ def _values_by_field() -> dict[str, Values]:
         "driver": drivers, "plant": drivers,
         "sensors": sensors,
         "trajectory": Values(paths), "trajectories": Values(paths, RECORDING_SUFFIXES),
-        "condition": Values(conditions), "perturbations": Values(conditions, ROBOT_SUFFIXES),
+        "condition": Values(conditions), "conditions": Values(conditions, ROBOT_SUFFIXES),
         "suite": Values(("reference",)),
         "against": Values(files=(FOLDER,)),
-        "policy": Values(files=("onnx",)),
+        "policy": Values(read_stems("learned", "policies", ".onnx"), ("onnx",)),
         "targets": Values(files=(ANY_FILE,)), "complete": Values(files=ROBOT_SUFFIXES),
         "definitions": Values(files=(FOLDER,)),
     }  # fmt: skip

@@ -76,6 +76,15 @@ def read_names(module: str, name: str) -> tuple[str, ...]:
     return tuple(str(part.value) for part in parts if isinstance(part, ast.Constant))
 
 
+def read_stems(package: str, folder: str, suffix: str) -> tuple[str, ...]:
+    """Return the names, without suffix, of files in a folder of a package; none without it."""
+    spec = find_spec(package)
+    locations = (spec.submodule_search_locations or []) if spec is not None else []
+    return tuple(
+        sorted(path.stem for x in locations for path in Path(x, folder).glob(f"*{suffix}"))
+    )
+
+
 @lru_cache(maxsize=64)
 def _parsed(module: str) -> _Module:
     """Parse a module without importing it."""

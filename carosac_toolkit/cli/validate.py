@@ -18,6 +18,7 @@ from typing import Annotated
 
 import tyro
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import fit, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
@@ -133,7 +134,7 @@ def _print(
     """Print warnings, tables and conclusions within the width of the terminal."""
     width = terminal_width()
     rate = recording.rates["unstrained_length"]
-    at = f" at {rate:.3g} Hz" if rate else ""
+    at = f" at {plain(rate, 3)} Hz" if rate else ""
     lines = [
         f"{context.recording}: {len(recording.time)} samples, {recording.duration:.1f} s{at}; "
         f"scored {result.samples} samples ({result.start}:{result.stop}), "

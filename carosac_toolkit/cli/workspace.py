@@ -26,6 +26,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, OutputFolder, RobotOptions
 from carosac_toolkit.cli.position_option import Place
@@ -218,14 +219,14 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         print(f"{title}: {region.sentence()}.\n")
         size, unit = region.grid.cell * len(region.verdicts.margin), _unit(region)
         print(
-            f"  {region.volume:.4g} {unit} of {size:.4g} {unit}, box {_vector(lower)} to "
+            f"  {plain(region.volume, 4)} {unit} of {plain(size, 4)} {unit}, box {_vector(lower)} to "
             f"{_vector(upper)} m, {len(region.verdicts.margin)} positions"
         )
         inside = region.verdicts.margin[region.verdicts.inside]
         if len(inside):
             print(
-                f"  margin inside: {inside.min():.4g} to {inside.max():.4g} N, "
-                f"median {np.median(inside):.4g} N"
+                f"  margin inside: {plain(inside.min(), 4)} to {plain(inside.max(), 4)} N, "
+                f"median {plain(np.median(inside), 4)} N"
             )
         for part in slices:
             print(f"  slice {_name(part.grid)} m, to the faces of the box: {part.share:.1%} inside")
@@ -252,9 +253,9 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         by, unit = change["margin_change_N"], _unit(regions["sag"][0])
         end = unit.replace("^", "")
         text = (
-            f"sag takes {change['lost']} positions ({change[f'lost_{end}']:.3g} {unit}) away from "
-            f"the workspace of straight cables and adds {change['gained']} "
-            f"({change[f'gained_{end}']:.3g} {unit})"
+            f"sag takes {change['lost']} positions ({plain(change[f'lost_{end}'], 3)} {unit}) away "
+            f"from the workspace of straight cables and adds {change['gained']} "
+            f"({plain(change[f'gained_{end}'], 3)} {unit})"
         )
         if by["median"] is not None:
             text += (
@@ -271,7 +272,7 @@ def _unit(region: Region) -> str:
 
 def _vector(values: Array) -> str:
     """Format a vector."""
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+    return "(" + ", ".join(plain(value, 4) for value in values) + ")"
 
 
 def _changes(regions: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.inspection import contacts
 from carosac_toolkit.inspection.home import RobotAtHome
 from carosac_toolkit.robot.checks import unused_parts
@@ -191,8 +192,8 @@ def _outside(report: RobotAtHome) -> Iterator[str]:
     beyond = float((sides[:, :2] @ center[:2] + sides[:, 2]).max())
     if beyond > 0.0:
         yield (
-            f"home is {beyond:.3g} m outside the exit points as seen from above: no cable pulls "
-            "the platform there"
+            f"home is {plain(beyond, 3)} m outside the exit points as seen from above: no cable "
+            "pulls the platform there"
         )
 
 
@@ -208,8 +209,9 @@ def _far_points(report: RobotAtHome) -> Iterator[str]:
         for i in np.flatnonzero((distance > FAR_DISTANCE_RATIO * usual) & (usual > 0.0)):
             whence = "home" if kind == "exit point" else "the platform's origin"
             yield (
-                f"the {kind} of cable {robot.cable_names[i]} is {distance[i]:.4g} m from {whence}, "
-                f"the others about {usual:.3g} m: is its unit right? A bare number is in metres"
+                f"the {kind} of cable {robot.cable_names[i]} is {plain(distance[i], 4)} m from "
+                f"{whence}, the others about {plain(usual, 3)} m: is its unit right? A bare "
+                "number is in metres"
             )
 
 
@@ -247,8 +249,9 @@ def _deep_sag(report: RobotAtHome) -> Iterator[str]:
     lengths = report.equilibrium.unstrained_length[0]
     for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
         yield (
-            f"cable {report.robot.cable_names[i]} sags {report.sag[i]:.4g} m at home, more than a "
-            f"tenth of its {lengths[i]:.4g} m: are its weight, length and tension_min right?"
+            f"cable {report.robot.cable_names[i]} sags {plain(report.sag[i], 4)} m at home, more "
+            f"than a tenth of its {plain(lengths[i], 4)} m: are its weight, length and tension_min "
+            "right?"
         )
 
 

@@ -130,6 +130,15 @@ class FallbackSource(Protocol):
 
 
 @runtime_checkable
+class FeedbackSource(Protocol):
+    """A controller that knows if it corrects errors, so that errors of the estimate reach it."""
+
+    @property
+    def feedback(self) -> bool:
+        """False if its commands follow from the reference alone."""
+
+
+@runtime_checkable
 class StatusSource(Protocol):
     """A driver that knows the state of its drive system."""
 

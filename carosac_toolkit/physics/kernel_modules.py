@@ -32,6 +32,8 @@ def kernel_modules(packages: Collection[str] = ()) -> list[str]:
 def compile_kernels(packages: Collection[str] = (), device: str = "cpu") -> int:
     """Compile all kernels that are not in Warp's cache yet; return how many modules there are.
 
+    Processes started afterwards do not tell the user that they compile.
+
     Args:
         packages: Top-level packages with kernels besides the toolkit itself.
         device: Warp device name.
@@ -39,4 +41,5 @@ def compile_kernels(packages: Collection[str] = (), device: str = "cpu") -> int:
     names = kernel_modules(packages)
     for name in names:
         warp_setup.load(import_module(name), device)
+    warp_setup.silence_children(device)
     return len(names)

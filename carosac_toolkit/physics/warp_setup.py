@@ -13,6 +13,7 @@ from types import ModuleType
 import warp as wp
 
 NOTICE_DELAY_S = 1.0  # [s] of loading before the user is told
+COMPILED_VARIABLE = "CAROSAC_COMPILED"  # environment: devices for which a parent has compiled all
 
 _loaded: set[tuple[str, str]] = set()
 _started: list[bool] = []
@@ -80,9 +81,18 @@ def load(module: ModuleType, device: str = "cpu") -> None:
     _loaded.add((module.__name__, device))
 
 
+def silence_children(device: str) -> None:
+    """Let processes started from here on load kernels for a device without telling the user.
+
+    For use once all kernels are compiled: a busy machine takes long enough even to fetch them.
+    """
+    known = os.environ.get(COMPILED_VARIABLE, "").split()
+    os.environ[COMPILED_VARIABLE] = " ".join(dict.fromkeys([*known, device]))
+
+
 def _tell(device: str) -> None:
     """Tell the user, once, why nothing seems to happen."""
-    if device not in _told:
+    if device not in _told and device not in os.environ.get(COMPILED_VARIABLE, "").split():
         _told.add(device)
         print(
             f"Compiling kernels of statics, dynamics and simulator for {device}, once on this "

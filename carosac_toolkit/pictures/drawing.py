@@ -283,9 +283,14 @@ def set_log(axes: Any, which: str) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def put_legend(figure: Figure, axes: Any) -> None:
-    """Put the labels of one panel below the figure."""
-    put_handles(figure, *axes.get_legend_handles_labels())
+def put_legend(figure: Figure, *panels: Any) -> None:
+    """Put the labels of some panels below the figure, each label once."""
+    marks = {
+        label: mark
+        for axes in panels
+        for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    put_handles(figure, marks.values(), list(marks))
 
 
 def put_marks(figure: Figure, looks: Mapping[str, Series]) -> None:

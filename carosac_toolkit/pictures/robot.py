@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.pictures.drawing import (
     ENLARGEMENTS,
     new_figure,
@@ -62,7 +63,7 @@ def draw_robot(report: RobotReport) -> Figure:
     _draw_plane(figure.add_subplot(grid[0, 1]), report, cables, corners, (0, 1), limits)
     _draw_plane(figure.add_subplot(grid[1, 1]), report, cables, corners, (1, 2), limits)
     robot = report.robot
-    answer = f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
+    answer = f"largest sag at home {plain(report.sag.max() * 1e3, 3)} mm"
     if not report.equilibrium.converged[0]:
         answer = "NO EQUILIBRIUM AT HOME (cables drawn straight)"
     elif not report.feasible:
@@ -71,7 +72,7 @@ def draw_robot(report: RobotReport) -> Figure:
         figure,
         f"{robot.name}: {robot.n} cables, {report.constraint}"
         f"{', suspended' if report.suspended else ''}",
-        f"platform {robot.mass:.3g} kg; {answer}",
+        f"platform {plain(robot.mass, 3)} kg; {answer}",
     )
     put_legend(figure, space)
     span_max = float((limits[:, 1] - limits[:, 0]).max())

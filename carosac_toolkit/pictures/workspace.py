@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.pictures.drawing import (
     new_figure,
     set_space,
@@ -158,9 +159,9 @@ def draw_maps(region: Region, found: Maps) -> Figure:
     for axes in panels[len(mapped) :]:
         axes.remove()
     same = [
-        label.replace(" [", f" {constants[name]:.3g} ").rstrip("]")
+        label.replace(" [", f" {plain(value, 3)} ").rstrip("]")
         for name, label, _ in MAPPED_QUANTITIES
-        if constants[name] is not None
+        if (value := constants[name]) is not None
     ]
     everywhere = f"the same everywhere: {', '.join(same)}" if same else ""
     set_title(figure, f"{_title(region)}, {plane.title}; white: outside", everywhere)

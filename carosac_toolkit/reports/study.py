@@ -24,7 +24,7 @@ from carosac_toolkit.studies.compare.example_cases import curves_of
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
-from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
+from carosac_toolkit.studies.compare.results import COLUMN_TITLES, StudyResults, estimated, tracked
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
@@ -196,7 +196,7 @@ def _settings(results: StudyResults) -> dict[str, str]:
         "seed",
     ):
         values = dict.fromkeys(str(row[name]) for row in results.rows)
-        terms[name] = ", ".join(values)
+        terms[COLUMN_TITLES.get(name, name)] = ", ".join(values)
     shared: dict[str, dict[str, None]] = {}
     for row in results.rows:
         for name, value in json.loads(str(row["settings"])).items():

@@ -42,7 +42,7 @@ def find_condition(name: str) -> Condition:
     if name not in CONDITIONS_BY_NAME:
         known = sorted(CONDITIONS_BY_NAME)
         allowed = f"one of {known}, or a path to a .yaml file{did_you_mean(name, known)}"
-        raise InvalidField("perturbation", repr(name), allowed)
+        raise InvalidField("condition", repr(name), allowed)
     return CONDITIONS_BY_NAME[name]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
@@ -67,9 +68,9 @@ def _differences(one: Robot, other: Robot) -> Iterator[str]:
     ):
         apart = float(np.linalg.norm(points - others, axis=1).max())
         if apart > POINT_RATIO_MAX * Scales(one).length:
-            yield f"{what} (up to {apart:.3g} m)"
+            yield f"{what} (up to {plain(apart, 3)} m)"
     if max(one.weight, other.weight) > WEIGHT_RATIO_MAX * min(one.weight, other.weight):
-        yield f"weight ({one.weight:.4g} N, {other.weight:.4g} N)"
+        yield f"weight ({plain(one.weight, 4)} N, {plain(other.weight, 4)} N)"
 
 
 def _measured_points(recording: Recording, robot: Robot) -> Iterator[str]:
@@ -81,5 +82,5 @@ def _measured_points(recording: Recording, robot: Robot) -> Iterator[str]:
     if apart is not None and apart > POINT_RATIO_MAX * Scales(robot).length:
         yield (
             "This is a recording of another robot: the exit points measured in it lie up to "
-            f"{apart:.3g} m from those of {robot.name}."
+            f"{plain(apart, 3)} m from those of {robot.name}."
         )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base import rotations
 from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.recording import Recording
@@ -241,12 +242,12 @@ def _differences(trial: _MixUpTrial) -> Iterator[str]:
     far = np.abs(each - 1.0) > DISTANCE_MISFIT_MAX
     if far.all():
         yield (
-            f"Lengths are {_median(ratio):.3g} times the distance at the measured poses: check "
-            "units and zero of the lengths, the robot, and the frame of the poses."
+            f"Lengths are {plain(_median(ratio), 3)} times the distance at the measured poses: "
+            "check units and zero of the lengths, the robot, and the frame of the poses."
         )
         return
     if far.any():
-        which = ", ".join(f"{i + 1} ({each[i]:.3g} times)" for i in np.flatnonzero(far))
+        which = ", ".join(f"{i + 1} ({plain(each[i], 3)} times)" for i in np.flatnonzero(far))
         yield (
             f"Some lengths are far from the distance at the measured poses, others fit: {which}. "
             "Check their encoders and exit points, the robot, and the frame of the poses."
@@ -258,9 +259,9 @@ def _winch_range(trial: _MixUpTrial) -> Iterator[str]:
     robot, typical = trial.robot, np.median(trial.length, axis=0)
     for i in np.flatnonzero((typical < robot.length_min) | (typical > robot.length_max)):
         yield (
-            f"Measured length {i + 1} is {typical[i]:.3g} m in the median; the winch of robot "
-            f"{robot.name} has {robot.length_min[i]:g} to {robot.length_max[i]:g} m: is it this "
-            "robot?"
+            f"Measured length {i + 1} is {plain(typical[i], 3)} m in the median; the winch of "
+            f"robot {robot.name} has {robot.length_min[i]:g} to {robot.length_max[i]:g} m: is it "
+            "this robot?"
         )
 
 

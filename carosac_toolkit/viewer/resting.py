@@ -6,6 +6,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
@@ -93,7 +94,8 @@ class RestingRobot:
             (over, "overloaded", robot.tension_max),
         ):
             sentences += [
-                f"cable {robot.cable_names[i]} {word}: {tension[i]:.3g} N, limit {limit[i]:g} N"
+                f"cable {robot.cable_names[i]} {word}: {plain(tension[i], 3)} N, limit "
+                f"{limit[i]:g} N"
                 for i in np.flatnonzero(mask)
             ]
         return tuple(sentences)

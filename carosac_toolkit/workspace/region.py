@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import Grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
@@ -129,7 +130,7 @@ class Region:
         cable = self.robot.cable_names[out.nearest_cable[k]]
         place = ", ".join(f"{x:.2f}" for x in out.rest.position[k])
         text = verb.get(Limit(int(out.nearest[k])), which)
-        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {text}"
+        return f"the least margin is {plain(out.margin[k], 3)} N at ({place}) m, {cable} {text}"
 
     def _words(self, at_the_end: bool) -> str:
         """Describe what excludes positions, the three most frequent causes."""

@@ -31,7 +31,7 @@ from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE
 from learned.checkpoint import CHECKPOINT_FILE
 from learned.learning_curve import CURVE_FILE, read_curve
-from learned.presets import Preset, Stage, find_preset
+from learned.presets import Preset, PresetName, Stage, find_preset
 from learned.setting_changes import check_changes, read_changes, read_variations
 from learned.training import TrainingJob, train
 from learned.training_record import SETTINGS_FILE
@@ -44,8 +44,8 @@ RESULTS_FOLDER = Path("carosac-results") / "train"
 class Options(DefaultRobotOptions):
     """Options of ``carosac train``."""
 
-    preset: str = "carosac"
-    """Preset of task and method: `paper`, `carosac` or `residual`."""
+    preset: PresetName = "carosac"
+    """Preset of task and method."""
     stage: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE")] = ()
     """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in order. A
     later stage starts from the one before it in the same folder."""

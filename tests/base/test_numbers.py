@@ -11,6 +11,7 @@ from carosac_toolkit.base.numbers import (
     check_not_negative,
     check_positive,
     check_whole,
+    plain,
 )
 
 
@@ -43,3 +44,11 @@ def test_messages_carry_the_unit():
 def test_what_is_no_whole_number_in_the_range_is_refused(value):
     with pytest.raises(InvalidField, match=r"count: got .*; allowed: a whole number from 2 to 4"):
         check_whole("count", value, 2, 4)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(15302.4, "15302"), (999.7, "1000"), (-1234.0, "-1234"), (0.012345, "0.0123"), (12.0, "12")],
+)
+def test_numbers_are_written_without_an_exponent(value, text):
+    assert plain(value, 3) == text

@@ -312,6 +312,7 @@ def test_a_controller_that_is_left_out_is_told(capsys):
         (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
+        (["--conditions", "nominal-3"], "condition: got 'nominal-3'"),
         (["--robot", "carosak"], "did you mean 'carosac'"),
         (["--robots", "missing.yaml"], "missing.yaml: no such file"),
         (["--driver", "quasistatic"], "did you mean 'quasi_static'"),

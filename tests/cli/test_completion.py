@@ -13,11 +13,12 @@ import tyro
 
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.cli.option_source import MANY_WORDS, read_names, read_options
+from carosac_toolkit.cli.option_source import MANY_WORDS, read_names, read_options, read_stems
 from carosac_toolkit.drivers.sensors import SENSOR_SUITES
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
 from carosac_toolkit.trajectories import TRAJECTORY_NAMES
+from learned import list_policies
 
 EXPECTED = [  # words, and some of what completes the last one
     (["che"], {"check"}),
@@ -36,6 +37,8 @@ EXPECTED = [  # words, and some of what completes the last one
     (["calibrate", "lengths", "--repo"], {"--report"}),
     (["validate", "syn"], {"synthetic"}),
     (["completion", ""], {"bash", "zsh", "fish"}),
+    (["train", "--preset", ""], {"paper", "carosac", "residual"}),
+    (["evaluate", "carosac-"], {"carosac-no-sag", "carosac-residual", "carosac-settle"}),
 ]
 ALL_COMMANDS = sorted(plugins.names("commands"))
 
@@ -108,7 +111,7 @@ def test_bash_takes_names_of_files_as_they_are(scripts, tmp_path):
         (["figures", ""], folders),
         (["import", "recording", "x", "--definitions", ""], folders),
         (["check", "x", "--picture", ""], folders | {"*.yaml", "m.yaml"}),
-        (["compare", "--perturbations", "m"], {"m folder", "m.yaml"}),
+        (["compare", "--conditions", "m"], {"m folder", "m.yaml"}),
     ):
         assert wanted <= complete_in_bash(scripts / "bash", words, tmp_path)
 
@@ -202,6 +205,7 @@ def test_names_read_from_source_are_those_there_are():
     assert paths == TRAJECTORY_NAMES
     conditions = read_names("carosac_toolkit.robot.perturbations", "CONDITIONS_BY_NAME")
     assert conditions == tuple(CONDITIONS_BY_NAME)
+    assert read_stems("learned", "policies", ".onnx") == list_policies()
     assert "carosac" in ct.list_robots()
 
 

@@ -12,6 +12,7 @@ import carosac_toolkit as ct
 from calibration.identification.result import MeanPoseComparison
 from calibration.identification.synthetic import RunSettings, simulate_run
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS
 from carosac_toolkit.robot.file import robot_text
 
 
@@ -49,7 +50,8 @@ def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     assert robot.calibrated is not None and "length_delay" in robot.calibrated
     assert "carosac identify, samples 0:80 of run.parquet" in Path("new.yaml").read_text()
     found = {path.name for path in Path("report").glob("[!.]*")}
-    assert found == {"motion.png", "rests.png", "learnt.png", "report.html"}
+    pictures = {f"{x}.{end}" for x in ("motion", "rests", "learnt") for end in PICTURE_FORMATS}
+    assert found == {"report.html", *pictures}
 
 
 def test_a_robot_of_no_use_is_not_written(run_file, capsys, monkeypatch):

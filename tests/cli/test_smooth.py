@@ -48,8 +48,9 @@ def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     assert set(data["scores"]["all"]["rmse_m"]) == {"x", "y", "z", "norm"}
     assert {path.name for path in Path("report").iterdir()} == {
         ".carosac-results",
-        "estimate.parquet", "estimate.png", "unknowns.png",
-    }  # fmt: skip
+        "estimate.parquet",
+        *(f"{name}.{end}" for name in ("estimate", "unknowns") for end in ("png", "svg", "pdf")),
+    }
     before, after = ct.load_recording(run_file), ct.load_recording("new.csv")
     assert after.time == pytest.approx(before.time, abs=0.0)
     assert after.poses.time == pytest.approx(before.time, abs=0.0)

@@ -206,7 +206,7 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
             "--vary: got 'sag.td3.critics'; allowed: a setting of a stage that is trained",
         ),
         (["train", "--set", "td3.hidden=[0]"], "hidden[0]: got 0"),
-        (["train", "--set", "environment.moving.perturbation=x"], "perturbation: got 'x'"),
+        (["train", "--set", "environment.moving.perturbation=x"], "condition: got 'x'"),
         (["train", "--vary", "td3.critics=2"], "--vary: got 'td3.critics=2'"),
         (["train", "--seeds", "2", "--set", "sag.td3.rate_end=2"], "rate_end: got 2"),
         (["train", "--seeds", "2", "--stage", "sag"], "--stage: got"),

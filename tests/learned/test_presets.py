@@ -1,11 +1,12 @@
 from dataclasses import replace
 from itertools import pairwise
+from typing import get_args
 
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
-from learned.presets import PRESETS, Stage, Td3Settings, find_preset
+from learned.presets import PRESETS, PresetName, Stage, Td3Settings, find_preset
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG
 
 
@@ -84,3 +85,7 @@ def test_hindsight_that_does_not_know_the_reward_is_refused():
     td3 = replace(Td3Settings(), discount=0.0, relabelled=0.8)
     with pytest.raises(InvalidField, match=r"reward.terms: got .* allowed: \('fit',\)"):
         Stage(environment=EnvironmentSettings(), td3=td3)
+
+
+def test_the_command_line_allows_every_preset():
+    assert get_args(PresetName) == tuple(PRESETS)

@@ -2,7 +2,9 @@ import os
 import subprocess
 import sys
 
-from carosac_toolkit.physics import kernel_modules
+import pytest
+
+from carosac_toolkit.physics import kernel_modules, warp_setup
 
 PROGRAM = """
 import importlib
@@ -13,10 +15,23 @@ kernel_modules.kernel_modules = lambda packages: [
 warp_setup.NOTICE_DELAY_S = 0.05
 kernel_modules.compile_kernels()
 """
+PARENT = """
+import subprocess, sys
+from carosac_toolkit.physics import warp_setup
+if {silent}:
+    warp_setup.silence_children("cpu")
+subprocess.run([sys.executable, "-c", {program!r}], check=True)
+"""
+
+
+def empty_cache(folder):
+    """Environment of a process that has to compile, and whose parent has not."""
+    kept = {name: x for name, x in os.environ.items() if name != warp_setup.COMPILED_VARIABLE}
+    return kept | {"WARP_CACHE_PATH": str(folder)}
 
 
 def test_two_modules_are_compiled_once_and_told_in_one_line(tmp_path):
-    environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+    environment = empty_cache(tmp_path)
     told = [
         subprocess.run(
             [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True,
@@ -29,6 +44,15 @@ def test_two_modules_are_compiled_once_and_told_in_one_line(tmp_path):
     assert line.startswith("Compiling kernels of statics, dynamics and simulator for cpu, once")
     assert told[1].stderr == ""
     assert len(list(tmp_path.rglob("*.o"))) == 2
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_children_of_a_process_that_has_compiled_everything_say_nothing(tmp_path, silent):
+    done = subprocess.run(
+        [sys.executable, "-c", PARENT.format(silent=silent, program=PROGRAM)], check=True,
+        env=empty_cache(tmp_path), capture_output=True, text=True,
+    )  # fmt: skip
+    assert len(done.stderr.splitlines()) == (0 if silent else 1)
 
 
 def test_every_kernel_module_is_known():

@@ -117,7 +117,7 @@ def test_one_seed_is_one_plant():
 
 
 def test_an_unknown_condition_lists_those_there_are():
-    message = r"perturbation: got 'nominal'; allowed: one of \['nominal-1', 'nominal-2', 'none'\]"
+    message = r"condition: got 'nominal'; allowed: one of \['nominal-1', 'nominal-2', 'none'\]"
     with pytest.raises(InvalidField, match=message):
         find_condition("nominal")
 

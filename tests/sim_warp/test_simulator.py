@@ -57,7 +57,7 @@ def busy(sim, seconds=0.3):
         ({"wind_force": -1.0}, "wind_force: got -1.0 N; allowed: wind_force >= 0, finite"),
         ({"wind_time": 0.0}, "wind_time: got 0.0 s; allowed: wind_time > 0, finite"),
         ({"device": "cuda:77"}, r"device: got 'cuda:77'; allowed: one of \['cpu'"),
-        ({"perturbation": "storm"}, r"perturbation: got 'storm'; allowed: one of \['nominal-1'"),
+        ({"perturbation": "storm"}, r"condition: got 'storm'; allowed: one of \['nominal-1'"),
         ({"seed": -1}, "seed: got -1; allowed: a whole number >= 0"),
         ({"seed": 0.5}, "seed: got 0.5; allowed: a whole number >= 0"),
         ({"seed": [1, 2], "worlds": 3}, r"seed: got shape \(2,\); allowed: one number, or 3"),

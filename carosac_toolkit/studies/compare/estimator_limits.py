@@ -25,7 +25,8 @@ def estimator_limits(
     """Tell which controllers the estimator limits.
 
     Rows with the estimator `truth` beside them show it. Without any, it can be suspected of the
-    controller that tracks best, where its estimation error is most of its tracking error.
+    controller that tracks best, unless that has no feedback, where its estimation error is most
+    of its tracking error.
 
     Args:
         results: Results of the study.
@@ -48,7 +49,9 @@ def estimator_limits(
         best = min(members, key=lambda k: results.summary[k]["tracking_rmse_m"]["norm"])
         line = results.summary[best]
         tracking, estimation = (line[f"{x}_rmse_m"]["norm"] for x in ("tracking", "estimation"))
-        if estimation is not None and estimation >= ESTIMATE_SHARE_MIN * tracking > 0.0:
+        if line["feedback"] is False or estimation is None:
+            continue
+        if estimation >= ESTIMATE_SHARE_MIN * tracking > 0.0:
             yield (
                 f"{labels[best]} tracks with {say_length(tracking)} RMSE, and the position that it "
                 f"is given is off by {say_length(estimation)}. With feedback, a controller can "

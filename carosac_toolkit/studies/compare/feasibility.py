@@ -21,6 +21,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.physics.cable.straight_line import straight_length
@@ -155,7 +156,7 @@ def _winch_stops(robot: Robot, path: Trajectory, time: Array) -> list[_Stop]:
         scale = float(ratio[k, i] ** -power) if ratio[k, i] > 0.0 else np.inf
         reason = (
             f"the winch of cable {robot.cable_names[i]} would have to {what} "
-            f"{abs(rate[k, i]):.3g} {unit}, its limit is {limit[i]:g} {unit}, "
+            f"{plain(abs(rate[k, i]), 3)} {unit}, its limit is {limit[i]:g} {unit}, "
             f"{_place(path, time[k])}"
         )
         stops.append(_Stop(scale, reason))
@@ -234,18 +235,18 @@ def _broken(robot: Robot, margin: tension_margin.TensionMargin, k: int) -> str:
     name, by = robot.cable_names[i], -float(margin.margin[k])
     if over:
         return (
-            f"cable {name} would need {robot.tension_max[i] + by:.3g} N, over its tension_max of "
-            f"{robot.tension_max[i]:g} N"
+            f"cable {name} would need {plain(robot.tension_max[i] + by, 3)} N, over its "
+            f"tension_max of {robot.tension_max[i]:g} N"
         )
     needed = float(robot.tension_min[i]) - by
-    what = f"have only {needed:.3g} N" if needed >= 0.0 else "have to push"
+    what = f"have only {plain(needed, 3)} N" if needed >= 0.0 else "have to push"
     return f"cable {name} would {what}, its tension_min is {robot.tension_min[i]:g} N"
 
 
 def _place(path: Trajectory, time: float) -> str:
     """Say where and when."""
     x, y, z = path.sample(np.array([time])).position[0]
-    return f"at ({x:.3g}, {y:.3g}, {z:.3g}) m after {time:.3g} s"
+    return f"at ({plain(x, 3)}, {plain(y, 3)}, {plain(z, 3)}) m after {plain(time, 3)} s"
 
 
 def infeasible(judged: Sequence[PathFeasibility]) -> list[PathFeasibility]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
@@ -69,7 +70,7 @@ def blocks_of(results: StudyResults) -> list[tuple[str, list[int]]]:
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
     several = len(blocks) > 1
     return [
-        (f"On {robot}, {condition}: " if several else "", members)
+        (f"On {robot}, condition {condition}: " if several else "", members)
         for (robot, condition), members in list(blocks.items())[:BLOCKS_MAX]
     ]
 
@@ -203,7 +204,7 @@ def _consistency(results: StudyResults, group: int) -> str | None:
     if low <= mean <= high:
         return f"{label} is consistent: NEES of the pose {mean:.2f}, in the {band}."
     verdict = "overconfident" if mean > high else "underconfident"
-    return f"{label} is {verdict}: NEES of the pose {mean:.3g}, outside the {band}."
+    return f"{label} is {verdict}: NEES of the pose {plain(mean, 3)}, outside the {band}."
 
 
 def _believer(results: StudyResults, group: int) -> str:

@@ -220,7 +220,7 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
 def _where(block: PairedBlock) -> str:
     """Name the robot and condition of a table."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
-    return f"{short_name(block.robot)}, {block.perturbation}, {draws}"
+    return f"{short_name(block.robot)}, condition {block.perturbation}, {draws}"
 
 
 def _names(block: PairedBlock) -> list[str]:

@@ -38,6 +38,7 @@ PAIR_COLUMNS = (
     "trajectory",
     "seed",
 )  # with robot and perturbation: the same plant on the same path
+COLUMN_TITLES = {"perturbation": "condition"}  # where a reader knows it by another word
 AXIS_NAMES = ("x", "y", "z", "norm")
 ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
@@ -180,6 +181,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         **_limits(rows),
         **{name: _middle(good, name) for name in LATENCY_COLUMNS},
+        "feedback": next((x for row in rows if (x := row.get("feedback")) is not None), None),
         "reasons": reasons(rows),
     }
 

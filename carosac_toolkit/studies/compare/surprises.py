@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from math import isclose
 from typing import Any
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.studies.compare.estimator_limits import estimator_limits
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
@@ -118,7 +119,7 @@ def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterato
     for name, members in by_limit.items():
         each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
         reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
-        advice = _advice(results, name, members).format(reach=f"{reach:.2g}")
+        advice = _advice(results, name, members).format(reach=plain(reach, 2))
         yield (
             f"Commands were changed by limits before they reached the winches, mostly by {name} "
             f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
@@ -154,7 +155,7 @@ def _tensions(results: StudyResults) -> Iterator[str]:
         )
     over = _times(
         results, "overload_share", SLACK_SHARE_MIN,
-        lambda line: f", up to {line['tension_max_N']:.4g} N",
+        lambda line: f", up to {plain(line['tension_max_N'], 4)} N",
     )  # fmt: skip
     if over:
         high = _limits(results, "tension_limit_high_N", "overload_share")
@@ -180,7 +181,7 @@ def _slack_advice(results: StudyResults) -> str:
 def _slack_ending(line: dict[str, Any]) -> str:
     """Tell the least tension of a group, and if its cables were slack at the start alone."""
     at_the_start = ", at the start" if _only_at_the_start(line) else ""
-    return f"{at_the_start}, down to {line['tension_min_N']:.2g} N"
+    return f"{at_the_start}, down to {plain(line['tension_min_N'], 2)} N"
 
 
 def _only_at_the_start(line: dict[str, Any]) -> bool:
@@ -227,7 +228,7 @@ def _moved(results: StudyResults) -> Iterator[str]:
         if moved > 0.0:
             yield (
                 f"Paths were moved onto positions at which {short_name(name)} can rest, by up to "
-                f"{moved:.3g} m; errors count from there."
+                f"{plain(moved, 3)} m; errors count from there."
             )
 
 

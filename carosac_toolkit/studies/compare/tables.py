@@ -5,8 +5,9 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import Rows, counted
-from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, COLUMN_TITLES, StudyResults
 from carosac_toolkit.studies.compare.terminal_table import (
     cases,
     limited,
@@ -41,7 +42,8 @@ REASONS_SHOWN = 3  # of a group
 
 def header(results: StudyResults) -> tuple[str, ...]:
     """Return the titles of the columns."""
-    return (*_names(results), *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
+    titles = [COLUMN_TITLES.get(name, name) for name in _names(results)]
+    return (*titles, *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
 
 
 def units(results: StudyResults) -> str:
@@ -144,7 +146,7 @@ def _square(value: dict[str, Any] | None) -> str:
         return "-"
     low, high = value["band"]
     mark = "+" if value["mean"] > high else "-" if value["mean"] < low else " "
-    return f"{value['mean']:.3g}{mark}"
+    return f"{plain(value['mean'], 3)}{mark}"
 
 
 def _millimetres(metres: float | None) -> str:

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import aligned, wrapped
 from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
-from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults
+from carosac_toolkit.studies.compare.results import COLUMN_TITLES, GROUP_COLUMNS, StudyResults
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
 Line = dict[str, Any]
@@ -98,7 +99,7 @@ def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
                     text + "".join(f" [{numbers[x]}]" for x in line["remarks"])
                     for text, line in zip(texts, results.summary, strict=True)
                 ]
-            shown.append((name, texts))
+            shown.append((COLUMN_TITLES.get(name, name), texts))
     return shown
 
 
@@ -180,7 +181,7 @@ def _nees(line: Line) -> str:
         return "-"
     low, high = value["band"]
     mark = "+" if value["mean"] > high else "-" if value["mean"] < low else ""
-    return f"{value['mean']:.3g}{mark}"
+    return f"{plain(value['mean'], 3)}{mark}"
 
 
 def _lost(line: Line) -> bool:

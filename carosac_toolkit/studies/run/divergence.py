@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
@@ -54,8 +55,8 @@ def _reasons(log: Log, position: Array, robot: Robot) -> Iterator[str]:
     if (beyond > margin).any():
         k = int(np.argmax(beyond > margin))
         yield (
-            f"the platform left the workspace box by up to {beyond.max():.3g} m, over "
-            f"{margin:.3g} m from {log.time[k]:.3g} s on"
+            f"the platform left the workspace box by up to {plain(beyond.max(), 3)} m, over "
+            f"{plain(margin, 3)} m from {plain(log.time[k], 3)} s on"
         )
     if log.tension is not None:
         loose = log.tension < loose_tension(robot)  # (T, B, n)
@@ -64,9 +65,9 @@ def _reasons(log: Log, position: Array, robot: Robot) -> Iterator[str]:
         if lasted > piece:
             worst = int(np.argmax(loose[first].sum(axis=0)))
             yield (
-                f"{_cables(robot, worst, loose[first].any(axis=0))} loose for {lasted:.3g} s from "
-                f"{log.time[first]:.3g} s on, over half a period of the slowest sway "
-                f"({2.0 * piece:.3g} s)"
+                f"{_cables(robot, worst, loose[first].any(axis=0))} loose for {plain(lasted, 3)} s "
+                f"from {plain(log.time[first], 3)} s on, over half a period of the slowest sway "
+                f"({plain(2.0 * piece, 3)} s)"
             )
     for what, other in (
         ("the estimator was lost: its position was off", log.belief_position),
@@ -76,8 +77,8 @@ def _reasons(log: Log, position: Array, robot: Robot) -> Iterator[str]:
         lasted, first = _longest(log.time, error > LOST_RATIO * size)
         if lasted > piece:
             yield (
-                f"{what} by over {LOST_RATIO * size:.3g} m for {lasted:.3g} s from "
-                f"{log.time[first]:.3g} s on, up to {error.max():.3g} m"
+                f"{what} by over {plain(LOST_RATIO * size, 3)} m for {plain(lasted, 3)} s from "
+                f"{plain(log.time[first], 3)} s on, up to {plain(error.max(), 3)} m"
             )
 
 

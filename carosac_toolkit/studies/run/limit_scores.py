@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.loop import Log
-from carosac_toolkit.loop.protocols import FallbackSource, RemarkSource
+from carosac_toolkit.loop.protocols import FallbackSource, FeedbackSource, RemarkSource
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
@@ -89,10 +89,11 @@ def _causes(hits: set[tuple[int, str]]) -> dict[str, int]:
 
 
 def own_words(controller: object) -> dict[str, Any]:
-    """Return what a controller tells about its run: a remark, and commands by fallback as JSON."""
+    """Return what a controller tells: a remark, feedback or not, commands by fallback as JSON."""
     remark = controller.remark if isinstance(controller, RemarkSource) else None
     counts = dict(controller.fallbacks) if isinstance(controller, FallbackSource) else None
     return {
+        "feedback": controller.feedback if isinstance(controller, FeedbackSource) else None,
         "remark": None if remark is None else str(remark),
         "fallbacks": None if counts is None else int(sum(counts.values())),
         "fallbacks_by": None if counts is None else json.dumps(counts, separators=(",", ":")),

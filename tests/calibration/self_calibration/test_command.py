@@ -10,6 +10,7 @@ from calibration.self_calibration.command import run_motor_angles
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.files import write_json
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS
 from tests.calibration.self_calibration.scenes import csv_text, scene
 
 
@@ -51,9 +52,9 @@ def test_a_file_without_flags_gives_robot_report_and_numbers(angles_file, tmp_pa
     assert 0.0 < data["left_out"]["1"]["sigma_m"][0] < 0.01
     page = (folder / "report.html").read_text()
     assert "Known positions left out one at a time" in page and "motor angles left out" in page
+    names = ("layout", "exit_points", "residuals", "learnt", "left_out")
     assert {path.name for path in folder.glob("[!.]*")} == {
-        "report.html", "layout.png", "exit_points.png", "residuals.png", "learnt.png",
-        "left_out.png",
+        "report.html", *(f"{name}.{end}" for name in names for end in PICTURE_FORMATS)
     }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from calibration.tachymeter.synthetic import write_gsi, write_targets
 from calibration.tachymeter.targets import read_targets
 from carosac_toolkit import load_robot
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS
 from tests.calibration.tachymeter.scenes import drawn, write
 
 
@@ -48,8 +49,8 @@ def test_a_survey_becomes_a_robot_file_with_covariances(site, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "WARNING: left out: shot" in printed and "chi2" in printed
     report = tmp_path / "report"
-    pictures = {path.name for path in report.glob("*.png")}
-    assert pictures == {"site.png", "exit_points.png", "shots.png"}
+    names = {f"{x}.{end}" for x in ("site", "exit_points", "shots") for end in PICTURE_FORMATS}
+    assert {path.name for path in report.glob("[!.]*")} == {"report.html", *names}
     page = (report / "report.html").read_text()
     assert "carosac calibrate tachymeter A.gsi B.gsi" in page and "[A.gsi" in page
 

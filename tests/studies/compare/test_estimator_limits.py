@@ -34,6 +34,8 @@ def test_without_a_row_of_truth_the_best_is_suspected_where_its_estimate_is_as_w
     (text,) = surprises(results)
     start = "mpc tracks with 12.0 mm RMSE, and the position that it is given is off by 11.0 mm."
     assert text.startswith(start) and "estimator truth (--estimators)" in text
+    open_loop = [row | {"feedback": False} for row in rows("mpc", "filter", 0.012, 0.011)]
+    assert surprises(study([*open_loop, *rows("ik", "filter", 0.030, 0.029)])) == []
     good_estimate = [*rows("mpc", "filter", 0.012, 0.004), *rows("ik", "filter", 0.03, 0.029)]
     assert surprises(study(good_estimate)) == []
 

@@ -70,4 +70,7 @@ def test_each_robot_gets_a_sentence():
     two = [good(case(name, robot=robot), (size, 0, 0)) for robot in ("carosac", "scampi")
            for name, size in (("a", 0.01), ("b", 0.02))]  # fmt: skip
     said = headlines(study(two))
-    assert [text.partition(":")[0] for text in said] == ["On carosac, none", "On scampi, none"]
+    assert [text.partition(":")[0] for text in said] == [
+        "On carosac, condition none",
+        "On scampi, condition none",
+    ]

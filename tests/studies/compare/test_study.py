@@ -12,7 +12,7 @@ from carosac_toolkit.studies.compare import defaults
 from carosac_toolkit.studies.compare import study as study_module
 from carosac_toolkit.studies.compare.defaults import default_controllers
 from carosac_toolkit.studies.compare.findings import conclusions
-from carosac_toolkit.studies.compare.tables import failures
+from carosac_toolkit.studies.compare.tables import failures, header
 from carosac_toolkit.studies.compare.terminal_table import terminal_table
 from carosac_toolkit.studies.run.row_files import part_files
 from sim_warp.driver import SimDriver
@@ -97,6 +97,8 @@ def test_a_group_is_a_robot_controller_estimator_sensors_and_perturbation():
     results = study(rows)
     assert [line["cases"] for line in results.summary] == [2] * len(pairs)
     assert len(set(results.labels)) == len(pairs)
+    for titles in (terminal_table(results, 120), " ".join(header(results))):
+        assert "condition" in titles and "perturbation" not in titles
     for width in (80, 120):
         assert max(map(len, terminal_table(results, width).splitlines())) <= width
 
@@ -155,7 +157,10 @@ def test_robots_are_not_compared_with_each_other():
     rows = [good(case(c, robot=r), (e, 0, 0)) for r in ("carosac", "scampi")
             for c, e in (("a", 0.01), ("b", 0.02))]  # fmt: skip
     said = [line for line in conclusions(study(rows)) if "times" in line]
-    assert [line.partition(":")[0] for line in said] == ["On carosac, none", "On scampi, none"]
+    assert [line.partition(":")[0] for line in said] == [
+        "On carosac, condition none",
+        "On scampi, condition none",
+    ]
 
 
 def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():

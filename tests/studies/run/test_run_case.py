@@ -206,7 +206,7 @@ def test_a_setting_that_nobody_reads_is_named(settings, message):
         ({"controller": "pid"}, "controller: got 'pid'"),
         ({"estimator": "ukf"}, "estimator: got 'ukf'"),
         ({"trajectory": "square"}, "trajectory: got 'square'"),
-        ({"perturbation": "storm"}, "perturbation: got 'storm'"),
+        ({"perturbation": "storm"}, "condition: got 'storm'"),
         ({"robot": "carosak"}, "carosak"),
     ],
 )
