@@ -11,12 +11,18 @@ from scipy.stats import chi2
 
 from calibration.estimate import ParameterEstimate
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M
+from calibration.linear_samples import LinearSamples
 from calibration.normal_equations import solve
 from calibration.observability import Unobservable, judge
 from calibration.rests.fit import RestFit, first_lengths, fit
 from calibration.rests.model import RestModel
 from calibration.rests.readings import RestReadings, rest_readings
-from calibration.rests.result import RestCalibration, SensorBlunder, SensorError
+from calibration.rests.result import (
+    SENSOR_WORDS,
+    RestCalibration,
+    SensorBlunder,
+    SensorError,
+)
 from calibration.rests.settings import RestSettings
 from calibration.rests.start import RestStart, find_starts
 from calibration.rests.unknowns import SENSOR_UNITS, RestUnknowns, find_unknowns
@@ -28,7 +34,10 @@ from carosac_toolkit.robot.robot import Robot
 POSE_SIGMA_SHARE_MAX = 0.02  # of the size of the frame: a first rest known worse is not known
 OFFSET_PLAUSIBLE_M = 0.05  # [m]: a scale for the judgement, no prior
 BLUNDER_SIGMAS = 4.5  # farther residuals are blunders
-BLUNDER_SHARE_MAX = 0.05  # of all residuals: more are hardly blunders
+BLUNDER_OF_WORST = 0.5  # of the largest one: smaller ones may be its work, and wait
+BLUNDER_ROUNDS_MAX = 8
+BLUNDER_ROUNDS_MIN = 2  # after which the rest of the readings should fit
+BLUNDER_SHARE_MAX = 0.05  # of the readings of a sensor: more are hardly blunders
 REDUNDANCY_MIN = 0.02  # residuals with less hardly show a blunder
 MISFIT_PROBABILITY = 1e-3  # of residuals as large as these
 MISFIT_USELESS = 3.0  # times as large as their noise: the result is of no use
@@ -104,7 +113,7 @@ def _check_observable(model: RestModel, start: RestStart) -> None:
         bad = int((~rest.converged).sum())
         raise Unobservable(
             f"robot {robot.name} cannot rest at {bad} of the {count} rests with the lengths that "
-            "fit best: are robot, units and the order of the cables right?"
+            "fit best: are robot, units, order of the cables and signs of the angles right?"
         )
     prior = model.unknowns.prior
     linear = model.linear(value, length, rest)
@@ -178,26 +187,57 @@ def _apart(one: RestFit, other: RestFit) -> bool:
 def _without_blunders(
     model: RestModel, best: RestFit, weight: NDArray[np.bool_]
 ) -> tuple[RestFit, NDArray[np.bool_]]:
-    """Leave residuals out one at a time, the worst first, and fit again (data snooping)."""
+    """Leave blunders out, at most one of a rest at a time, and fit again (data snooping).
+
+    A blunder spoils the residuals beside it, so readings that fit after all come back at the end.
+    """
     turning = model.columns.get("attitude", model.columns.get("inclination", np.zeros(0, int)))
-    for _ in range(int(BLUNDER_SHARE_MAX * weight.size)):
-        deviation = np.where(weight, np.abs(_deviation(best)), 0.0)
-        rest, column = np.unravel_index(int(np.argmax(deviation)), deviation.shape)
-        if deviation[rest, column] <= BLUNDER_SIGMAS:
+    for round_ in range(BLUNDER_ROUNDS_MAX):
+        if round_ >= BLUNDER_ROUNDS_MIN and _misfit(best, weight) > MISFIT_USELESS:
+            break  # these are no blunders
+        deviation = np.where(weight, _deviation(best), 0.0)
+        worst = deviation.argmax(axis=1)
+        size = deviation.max(axis=1)
+        out = size > max(BLUNDER_SIGMAS, BLUNDER_OF_WORST * float(size.max()))
+        if not out.any():
             break
         weight = weight.copy()
-        weight[rest, turning if column in turning else column] = False
+        for rest in np.flatnonzero(out):
+            column = worst[rest]
+            weight[rest, turning if column in turning else column] = False
         best = fit(model, (best.value, best.length, best.rest), weight)
-    return best, weight
+    if weight.all():
+        return best, weight
+    bad = ~weight & (_deviation(best, model.linear(best.value, best.length, best.rest)) > (
+        BLUNDER_SIGMAS
+    ))  # fmt: skip
+    bad[:, turning] = bad[:, turning].any(axis=1, keepdims=True)
+    return fit(model, (best.value, best.length, best.rest), ~bad), ~bad
 
 
-def _deviation(solution: RestFit) -> Array:
-    """Return residuals in their own standard deviations, (K, m); 0 where they cannot tell."""
-    linear = solution.linear
-    known = solution.solution.joint_covariance(linear.by_own, linear.by_shared)
-    redundancy = 1.0 - np.einsum("kmm->km", known)
-    tells = redundancy > REDUNDANCY_MIN
-    return np.where(tells, linear.residual / np.sqrt(np.where(tells, redundancy, 1.0)), 0.0)
+def _misfit(best: RestFit, weight: NDArray[np.bool_]) -> float:
+    """Return the size of the residuals over that which their noise lets expect."""
+    return float(np.sqrt(best.cost / max(_redundancy(best, weight), 1)))
+
+
+def _redundancy(best: RestFit, weight: NDArray[np.bool_]) -> int:
+    """Return the number of readings beyond those that the unknowns take."""
+    return int(weight.sum()) - best.length.size
+
+
+def _deviation(best: RestFit, linear: LinearSamples | None = None) -> Array:
+    """Return sizes of residuals in their own standard deviations, shape (K, m).
+
+    Args:
+        best: The solution.
+        linear: All rows, those that were left out as well; None: those that were used, which are
+            nearer to the solution than their noise is large. 0 where they cannot tell.
+    """
+    rows = best.linear if linear is None else linear
+    known = np.einsum("kmm->km", best.solution.joint_covariance(rows.by_own, rows.by_shared))
+    variance = 1.0 - known if linear is None else 1.0 + known
+    tells = variance > REDUNDANCY_MIN
+    return np.where(tells, np.abs(rows.residual) / np.sqrt(np.where(tells, variance, 1.0)), 0.0)
 
 
 def _result(
@@ -205,8 +245,7 @@ def _result(
 ) -> RestCalibration:
     """Put the result together."""
     best, unknowns = search.best, model.unknowns
-    redundancy = int(search.weight.sum()) - best.length.size
-    misfit = float(np.sqrt(best.cost / max(redundancy, 1)))
+    redundancy, misfit = _redundancy(best, search.weight), _misfit(best, search.weight)
     improbable = bool(best.cost > chi2.isf(MISFIT_PROBABILITY, max(redundancy, 1)))
     inflation = misfit**2 if improbable else 1.0
     covariance = inflation * best.solution.covariance
@@ -315,6 +354,18 @@ def _unused(model: RestModel, recording: Recording) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _what(result: RestCalibration) -> str:
+    """Say what large residuals may mean."""
+    if result.misfit > MISFIT_USELESS:
+        return "are the units, the order of the cables and the signs of the angles right?"
+    size = {name: float(np.sqrt(np.nanmean(x**2))) for name, x in result.residual.items()}
+    worst = max(size, key=lambda name: size[name])
+    return (
+        f"the noise is larger, that of {SENSOR_WORDS[worst][0]} above all, or the model lacks an "
+        "effect."
+    )
+
+
 def _warnings(result: RestCalibration, search: _Search, improbable: bool) -> list[str]:
     """Return what must not be overlooked."""
     lines = []
@@ -332,7 +383,7 @@ def _warnings(result: RestCalibration, search: _Search, improbable: bool) -> lis
     if improbable:
         lines.append(
             f"Residuals are {result.misfit:.1f} times as large as the noise of the sensors says: "
-            "the noise is larger, or the model lacks an effect. All sigmas are that much wider."
+            f"{_what(result)} All sigmas are that much wider."
         )
     moved = np.concatenate(
         [result.estimate.moved, [abs(s.value) / s.prior_sigma for s in result.sensors]]
@@ -349,5 +400,7 @@ def _warnings(result: RestCalibration, search: _Search, improbable: bool) -> lis
     for name, residual in result.residual.items():
         share = float(np.isnan(residual).mean())
         if share > BLUNDER_SHARE_MAX:
-            lines.append(f"{share:.0%} of the readings of {name} were left out as blunders.")
+            lines.append(
+                f"{share:.0%} of the readings of {SENSOR_WORDS[name][0]} were left out as blunders."
+            )
     return lines

@@ -16,7 +16,8 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.rest import statics
 
-ROUNDS_MAX = 60
+ROUNDS_MAX = 40
+LENGTH_MIN_SHARE = 1e-3  # a search keeps lengths positive
 COST_SETTLED = 1e-3  # a step that lowers the sum of squares by less is the last one
 DAMPING_SETTLED_MAX = 1.0  # with more damping steps are short anywhere
 DAMPING_START, DAMPING_MAX = 1e-3, 1e12
@@ -63,6 +64,7 @@ def first_lengths(model: RestModel, start: RestStart) -> tuple[Array, Array, sta
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     read = (model.readings.length - start.offset) / scale
     length = np.where(np.isfinite(length) & (robot.n >= 6), length, read)
+    length = np.maximum(length, LENGTH_MIN_SHARE * np.abs(length).max())
     return value, length, model.equilibria(value, length, pose)
 
 
@@ -86,7 +88,7 @@ def fit(
         pull = prior.information @ (prior.mean - value)
         step = solve(linear, prior.information, pull, damping=damping)
         new_value, new_length = value + step.shared, length + step.own
-        found = model.equilibria(new_value, np.maximum(new_length, 1e-3 * length), rest)
+        found = model.equilibria(new_value, np.maximum(new_length, LENGTH_MIN_SHARE * length), rest)
         new_cost = _cost(model, new_value, new_length, found, weight)
         if not (found.converged.all() and new_cost <= cost * (1.0 + 1e-9)):
             damping *= 4.0
