@@ -66,10 +66,10 @@ def robots() -> dict[str, Robot]:
     """Return the robots, by what they are called in the table."""
     third = similar_robot(ct.load_robot("warehouse"), 1.0 / 3.0)
     return {
-        "warehouse, 12 x 8 x 6 m, 8 cables": ct.load_robot("warehouse"),
         "warehouse in a third of its size, 8 cables": third,
         "suspended, ring of 4 m, 4 cables": suspended(4),
         "suspended, ring of 4 m, 3 cables": suspended(3),
+        "warehouse, 12 x 8 x 6 m, 8 cables": ct.load_robot("warehouse"),
         "carosac over pulleys, 8 m high, 4 cables": with_pulleys("carosac", TACHYMETER),
     }
 

@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from calibration.estimate import ParameterEstimate
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M
-from calibration.linear_samples import LinearSamples
 from calibration.normal_equations import solve
 from calibration.observability import Unobservable, judge
 from calibration.rests.fit import RestFit, first_lengths, fit
@@ -38,7 +37,7 @@ BLUNDER_OF_WORST = 0.5  # of the largest one: smaller ones may be its work, and 
 BLUNDER_ROUNDS_MAX = 8
 BLUNDER_ROUNDS_MIN = 2  # after which the rest of the readings should fit
 BLUNDER_SHARE_MAX = 0.05  # of the readings of a sensor: more are hardly blunders
-REDUNDANCY_MIN = 0.02  # residuals with less hardly show a blunder
+REDUNDANCY_MIN = 1e-4  # residuals with less show no blunder beside rounding
 MISFIT_PROBABILITY = 1e-3  # of residuals as large as these
 MISFIT_USELESS = 3.0  # times as large as their noise: the result is of no use
 PRIOR_SIGMAS_MAX = 4.0  # a parameter that moved farther contradicts its prior
@@ -187,32 +186,24 @@ def _apart(one: RestFit, other: RestFit) -> bool:
 def _without_blunders(
     model: RestModel, best: RestFit, weight: NDArray[np.bool_]
 ) -> tuple[RestFit, NDArray[np.bool_]]:
-    """Leave blunders out, at most one of a rest at a time, and fit again (data snooping).
+    """Leave blunders out, the worst ones of all rests, and fit again (data snooping).
 
-    A blunder spoils the residuals beside it, so readings that fit after all come back at the end.
+    Of a rest, readings of which one as well as the other may be the blunder are all left out.
     """
     turning = model.columns.get("attitude", model.columns.get("inclination", np.zeros(0, int)))
     for round_ in range(BLUNDER_ROUNDS_MAX):
         if round_ >= BLUNDER_ROUNDS_MIN and _misfit(best, weight) > MISFIT_USELESS:
             break  # these are no blunders
         deviation = np.where(weight, _deviation(best), 0.0)
-        worst = deviation.argmax(axis=1)
-        size = deviation.max(axis=1)
+        size = deviation.max(axis=1, keepdims=True)
         out = size > max(BLUNDER_SIGMAS, BLUNDER_OF_WORST * float(size.max()))
+        out = out & (deviation**2 > size**2 - AS_GOOD_COST) & (deviation > BLUNDER_SIGMAS)
         if not out.any():
             break
-        weight = weight.copy()
-        for rest in np.flatnonzero(out):
-            column = worst[rest]
-            weight[rest, turning if column in turning else column] = False
+        out[:, turning] = out[:, turning].any(axis=1, keepdims=True)
+        weight = weight & ~out
         best = fit(model, (best.value, best.length, best.rest), weight)
-    if weight.all():
-        return best, weight
-    bad = ~weight & (_deviation(best, model.linear(best.value, best.length, best.rest)) > (
-        BLUNDER_SIGMAS
-    ))  # fmt: skip
-    bad[:, turning] = bad[:, turning].any(axis=1, keepdims=True)
-    return fit(model, (best.value, best.length, best.rest), ~bad), ~bad
+    return best, weight
 
 
 def _misfit(best: RestFit, weight: NDArray[np.bool_]) -> float:
@@ -225,19 +216,15 @@ def _redundancy(best: RestFit, weight: NDArray[np.bool_]) -> int:
     return int(weight.sum()) - best.length.size
 
 
-def _deviation(best: RestFit, linear: LinearSamples | None = None) -> Array:
+def _deviation(best: RestFit) -> Array:
     """Return sizes of residuals in their own standard deviations, shape (K, m).
 
-    Args:
-        best: The solution.
-        linear: All rows, those that were left out as well; None: those that were used, which are
-            nearer to the solution than their noise is large. 0 where they cannot tell.
+    They are nearer to the solution than their noise is large; 0 where they cannot tell.
     """
-    rows = best.linear if linear is None else linear
+    rows = best.linear
     known = np.einsum("kmm->km", best.solution.joint_covariance(rows.by_own, rows.by_shared))
-    variance = 1.0 - known if linear is None else 1.0 + known
-    tells = variance > REDUNDANCY_MIN
-    return np.where(tells, np.abs(rows.residual) / np.sqrt(np.where(tells, variance, 1.0)), 0.0)
+    tells = known < 1.0 - REDUNDANCY_MIN
+    return np.where(tells, np.abs(rows.residual) / np.sqrt(np.where(tells, 1.0 - known, 1.0)), 0.0)
 
 
 def _result(

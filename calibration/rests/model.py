@@ -26,6 +26,7 @@ from carosac_toolkit.robot.robot import Robot
 LENGTH_STEP_SHARE = 1e-6  # of a cable's length, in differences
 PARAMETER_STEP_SIGMAS = 1e-2  # prior sigmas, in differences
 PARAMETER_STEP_MAX = 1e-4  # [m], [rad], ...: loose priors take no longer steps
+KEPT_LENGTH_SHARE = 1e-4  # derivatives by geometry hardly change while lengths change by less
 TENSION_FLOOR_SHARE = 0.1  # of the weight per cable: smaller tensions have its noise
 
 
@@ -45,6 +46,7 @@ class RestModel:
         self.unknowns, self.readings, self._settings = unknowns, readings, settings
         robot = unknowns.robot
         self.pulleys = np.flatnonzero(robot.pulley_radius > 0.0)
+        self._kept: tuple[Array, Array] | None = None
         self._rotates = readings.attitude is not None or readings.inclination is not None
 
     @property
@@ -195,14 +197,33 @@ class RestModel:
 
     def _by_shared(self, value: Array, length: Array, rest: statics.Equilibrium) -> Array:
         """Return the derivative of the residuals by the shared parameters, shape (K, m, k)."""
-        columns = []
-        for k in range(len(value)):
-            before, after = (
-                self._residual(robot, moved, length, found)
-                for robot, moved, found in self._sides(k, value, length, rest)
-            )
-            columns.append((after - before) / (2.0 * self._parameter_step(k)))
-        return np.stack(columns, axis=2)
+        places, geometry = list(self.unknowns.moving), self._by_geometry(value, length, rest)
+        columns = np.zeros((len(length), geometry.shape[1], len(value)))
+        columns[:, :, places] = geometry
+        for k in set(range(len(value))) - set(places):
+            columns[:, :, k] = self._slope(k, value, length, rest)
+        return columns
+
+    def _by_geometry(self, value: Array, length: Array, rest: statics.Equilibrium) -> Array:
+        """Return the columns on which the equilibria depend; those of lengths nearby are kept."""
+        if self._kept is not None:
+            before, columns = self._kept
+            if (np.abs(length - before) < KEPT_LENGTH_SHARE * length).all():
+                return columns
+        columns = np.zeros((len(length), sum(map(len, self.columns.values())), 0))
+        if self.unknowns.moving:
+            each = [self._slope(k, value, length, rest) for k in self.unknowns.moving]
+            columns = np.stack(each, axis=2)
+        self._kept = length, columns
+        return columns
+
+    def _slope(self, place: int, value: Array, length: Array, rest: statics.Equilibrium) -> Array:
+        """Return the derivative of the residuals by one parameter, shape (K, m)."""
+        before, after = (
+            self._residual(robot, moved, length, found)
+            for robot, moved, found in self._sides(place, value, length, rest)
+        )
+        return np.asarray((after - before) / (2.0 * self._parameter_step(place)))
 
 
 def roll_and_pitch(rotation: Array) -> Array:

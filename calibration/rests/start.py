@@ -24,6 +24,8 @@ from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.robot.robot import Robot
 
 CORNER_SHARE = 0.5  # of the half sides of the workspace box, where the first rest may begin
+STARTS_AGREEING = 4  # starts that end at the same best cost: no others are tried
+SAME_COST = 1.01
 ROUNDS_ALONE, ROUNDS_TOGETHER = 12, 25
 LENGTH_NOISE_SHARE = 2e-3  # of the size of the frame: what straight cables miss
 BALANCE_NOISE_RAD = 5e-3
@@ -60,7 +62,12 @@ def find_starts(robot: Robot, readings: RestReadings) -> list[RestStart]:
     middle = robot.workspace_min + half
     corners = [middle + CORNER_SHARE * half * c for c in itertools.product((-1.0, 1.0), repeat=3)]
     problem = _StraightProblem(robot, readings)
-    starts = [problem.fit(place) for place in (robot.home_position, middle, *corners)]
+    starts: list[RestStart] = []
+    for place in (robot.home_position, middle, *corners):
+        starts.append(problem.fit(place))
+        costs = np.sort([start.cost for start in starts])
+        if len(starts) >= STARTS_AGREEING and costs[STARTS_AGREEING - 1] < SAME_COST * costs[0]:
+            break
     return sorted(starts, key=lambda start: start.cost)
 
 
