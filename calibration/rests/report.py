@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.pictures import draw_learnt, draw_residuals
 from calibration.report import (
     ReportContent,
     blunders_html,
     observability_html,
     parameters_html,
 )
+from calibration.rests.pictures import images
 from calibration.rests.result import SENSOR_WORDS, RestCalibration
 from carosac_toolkit.base.tables import Rows
-from carosac_toolkit.pictures.saving import png
 from carosac_toolkit.reports.page import table
 
 SENSOR_HEADER = ("error of a sensor", "unit", "known to", "found", "1 sigma")
@@ -44,30 +43,16 @@ def blunder_rows(result: RestCalibration) -> Rows:
 
 def report_content(result: RestCalibration) -> ReportContent:
     """Return tables and pictures of the report."""
-    names = result.before.cable_names
-    length = result.residual["length"] * result.noise["length"]
-    left_out = np.isnan(length)
-    drawn = {
-        "residuals": (
-            draw_residuals(
-                np.arange(len(length), dtype=np.float64), np.where(left_out, 0.0, length),
-                left_out, names, label="rest",
-            ),
-            "Readings of length less predictions, by rest.",
-        ),
-        "learnt": (draw_learnt(result.estimate), "Prior and posterior of each parameter."),
-    }  # fmt: skip
     parts = [
         observability_html(result.observability),
         parameters_html(result.estimate),
-        "<h2>Errors of other sensors</h2><p>They do not go into the robot file. Scales of load "
-        "cells are less 1. Known to: one standard deviation before.</p>"
+        "<h2>Errors of other sensors</h2><p>They do not go into the robot file. The scale of a "
+        "load cell is given less 1. Known to: one standard deviation before.</p>"
         + table(SENSOR_HEADER, sensor_rows(result), left=2),
         "<h2>Poses of rest</h2>" + table(REST_HEADER, _rest_rows(result), left=1),
         blunders_html(BLUNDER_HEADER, blunder_rows(result), left=2),
     ]
-    images = {name: (png(figure), caption) for name, (figure, caption) in drawn.items()}
-    return ReportContent(parts=parts, images=images)
+    return ReportContent(parts=parts, images=images(result))
 
 
 def _rest_rows(result: RestCalibration) -> Rows:

@@ -166,6 +166,11 @@ class RestCalibration(CalibrationResult):
             f"known to {turned} degrees about x, y and z",
         ]
         lines += self._scales()
+        if not any(name.startswith("exit_points") for name in self.estimate.names):
+            lines.append(
+                "exit points were held where the robot file has them, as it has no covariance of "
+                "them: sigmas do not include their errors"
+            )
         lines += self.unused
         if self.single:
             lines.append("each sample counts as a rest, as samples are half a second or more apart")
