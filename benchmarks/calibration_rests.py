@@ -128,9 +128,9 @@ def main() -> None:
         if not wanted or any(name.startswith(word) for word in wanted):
             rows += rows_of(name, surveyed(robot))
     header = (
-        "robot", "sensors beside lengths", "first pose, median [mm]", "95 %", "claimed 1 sigma",
-        "rotation, median [degrees]", "95 %", "NEES of the pose per freedom (95 % band)",
-        "with a warning", "CPU time [s]",
+        "robot", "sensors beside lengths", "first pose, median [mm]", "95 % [mm]",
+        "claimed 1 sigma [mm]", "rotation, median [degrees]", "rotation, 95 % [degrees]",
+        "NEES of the pose per freedom (95 % band)", "with a warning", "CPU time [s]",
     )  # fmt: skip
     body = (
         f"{SCENES} scenes a robot: exit points off by 1 mm per axis, 27 rests spread through the "

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calibration.linear_samples import LinearSamples
 from calibration.normal_equations import SharedSolution, solve
 from calibration.rests.model import RestModel
-from calibration.rests.start import RestStart
+from calibration.rests.start import RestStart, heading
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
@@ -54,6 +54,9 @@ def first_lengths(model: RestModel, start: RestStart) -> tuple[Array, Array, sta
     robot, value = unknowns.robot, unknowns.prior.mean.copy()
     value[unknowns.prior.rows("length_offset")] = start.offset
     pose = Pose(position=start.position, rotation=start.rotation)
+    if model.readings.attitude is not None:
+        turned = heading(start.rotation, model.readings.attitude)
+        value[unknowns.prior.rows("heading")] = turned
     pull = model.readings.tension
     if pull is None:
         held = robot.n >= 6

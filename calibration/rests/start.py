@@ -71,6 +71,17 @@ def find_starts(robot: Robot, readings: RestReadings) -> list[RestStart]:
     return sorted(starts, key=lambda start: start.cost)
 
 
+def heading(rotation: Array, attitude: Array) -> float:
+    """Return the turn about z that leads best from some rotations to measured ones [rad].
+
+    Args:
+        rotation: From P to W, shape (K, 3, 3).
+        attitude: From the AHRS to its level frame, shape (K, 3, 3).
+    """
+    turn = (attitude @ rotation.swapaxes(1, 2)).sum(axis=0)
+    return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+
+
 class _StraightProblem:
     """Readings of K rests by straight cables."""
 
@@ -146,18 +157,13 @@ class _StraightProblem:
         if read.swivel_angle is not None and len(self._pulleys):
             blocks.append(self._swivels(position, rotation))
         if read.attitude is not None:
-            off = Rotation.from_matrix(self._turned(rotation) @ rotation.swapaxes(1, 2))
+            turn = Rotation.from_rotvec([0.0, 0.0, -heading(rotation, read.attitude)])
+            level = turn.as_matrix() @ read.attitude  # in W
+            off = Rotation.from_matrix(level @ rotation.swapaxes(1, 2))
             by_turn = np.concatenate([np.zeros((3, 3)), -np.eye(3)], axis=1) / ATTITUDE_NOISE_RAD
             blocks.append(_own(off.as_rotvec() / ATTITUDE_NOISE_RAD, by_turn, n))
         parts = [np.concatenate(part, axis=1) for part in zip(*blocks, strict=True)]
         return LinearSamples(residual=parts[0], by_own=parts[1], by_shared=parts[2])
-
-    def _turned(self, rotation: Array) -> Array:
-        """Return the measured rotations, turned about z so that they fit others best, (K, 3, 3)."""
-        attitude = np.asarray(self._readings.attitude)
-        turn = (rotation @ attitude.swapaxes(1, 2)).sum(axis=0)
-        angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-        return np.asarray(Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() @ attitude)
 
     def _swivels(self, position: Array, rotation: Array) -> tuple[Array, Array, Array]:
         """Return residuals of the swivel angles and their derivatives."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calibration.rests.model import wrapped
 from calibration.rests.readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.rests.unknowns import find_unknowns
@@ -100,6 +101,8 @@ def draw_rest_scene(
     scales = unknowns.prior.rows("tension_scale")
     drawn[scales] = rng.uniform(-made.tension_scale, made.tension_scale, len(scales))
     drawn[unknowns.prior.rows("length_offset")] = 0.0
+    turned = unknowns.prior.rows("heading")
+    drawn[turned] = wrapped(drawn[turned])
     plant = with_values(robot, unknowns.robot_names, drawn[: len(unknowns.robot_names)])
     errors = unknowns.sensors_at(drawn)
     rest = _rests(plant, made, rng)

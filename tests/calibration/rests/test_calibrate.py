@@ -11,7 +11,7 @@ import carosac_toolkit as ct
 from calibration import RestSettings, Unobservable, calibrate_rests, draw_rest_scene
 from calibration.rests.model import roll_and_pitch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.rotations import to_matrix
+from carosac_toolkit.base.rotations import from_matrix, to_matrix
 from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.robot.similar import similar_robot
 from tests.calibration.rests.scenes import scene, surveyed_robot
@@ -114,6 +114,20 @@ def test_a_slipped_cable_and_a_stuck_load_cell_are_left_out(found):
     assert len(left_out) <= 4  # another cable may as well have slipped
     shift = np.linalg.norm(result.position[0] - good.position[0])
     assert shift < 0.5 * np.sqrt(np.trace(good.pose_covariance[0, :3, :3]))
+
+
+def test_an_ahrs_may_head_anywhere(found):
+    one, before = found[2]
+    attitude = one.recording.attitude
+    first = before.sensors[-1]
+    assert first.name == "heading"
+    turn = Rotation.from_rotvec([0.0, 0.0, np.pi - first.value]).as_matrix()
+    turned = from_matrix(turn @ to_matrix(attitude.value))
+    result = calibrate_rests(
+        replace(one.recording, attitude=replace(attitude, value=turned)), surveyed_robot()
+    )
+    assert abs(result.sensors[-1].value) == pytest.approx(np.pi, abs=0.05)
+    np.testing.assert_allclose(result.position, before.position, atol=1e-3)
 
 
 def test_lengths_alone_are_refused_with_what_would_help():
