@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import carosac_toolkit as ct
-from benchmarks.calibration_lengths import TACHYMETER, with_pulleys
+from benchmarks.calibration_lengths import TACHYMETER
 from benchmarks.results import table, write_section
 from calibration import RestScene, calibrate_rests, draw_rest_scene
 from carosac_toolkit.robot.robot import Robot
@@ -70,7 +70,6 @@ def robots() -> dict[str, Robot]:
         "suspended, ring of 4 m, 4 cables": suspended(4),
         "suspended, ring of 4 m, 3 cables": suspended(3),
         "warehouse, 12 x 8 x 6 m, 8 cables": ct.load_robot("warehouse"),
-        "carosac over pulleys, 8 m high, 4 cables": with_pulleys("carosac", TACHYMETER),
     }
 
 

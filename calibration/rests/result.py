@@ -168,8 +168,8 @@ class RestCalibration(CalibrationResult):
         lines += self._scales()
         if not any(name.startswith("exit_points") for name in self.estimate.names):
             lines.append(
-                "exit points were held where the robot file has them, as it has no covariance of "
-                "them: sigmas do not include their errors"
+                "exit points are held at the values of the robot file, which has no covariance of "
+                "them: the sigmas do not include their errors"
             )
         lines += self.unused
         if self.single:

@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 @dataclass(frozen=True, kw_only=True)
 class RestSettings:
-    """Noise and priors, as one standard deviation. A prior of 0 holds a parameter at its value.
+    """Noise and priors, as one standard deviation. A prior of 0 holds the error of a sensor at 0.
 
     Exit points, anchor points, centre of mass, mass and length scales have the covariances of the
     robot file as priors, and are held where it has none.
@@ -41,9 +41,9 @@ class RestSettings:
     swivel_offset_prior: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse noise that is not positive and priors that are negative."""
+        """Refuse noise that is not positive, priors that are negative, and lengths without error."""
         for name, value in vars(self).items():
-            strict = name.endswith("_noise")
+            strict = name.endswith("_noise") or name == "offset_prior"
             good = value > 0.0 if strict else value >= 0.0
             if not (good and np.isfinite(value)):
                 raise InvalidField(name, value, f"{name} {'>' if strict else '>='} 0")

@@ -33,7 +33,7 @@ def test_a_recording_without_poses_gives_zeros_report_and_numbers(drawn, rests, 
     assert "27 rests, no poses; robot scampi" in said
     assert "at the first rest the platform is at" in said
     assert "tension_scale[front_left]" in said
-    assert "exit points were held" in said
+    assert "exit points are held" in said
     data = json.loads(numbers.read_text())
     assert len(data["positions_m"]) == data["rests"] == 27
     assert data["useless"] is False and data["warnings"] == []

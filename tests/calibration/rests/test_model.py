@@ -8,6 +8,7 @@ from calibration import RestSettings
 from calibration.rests.model import RestModel, roll_and_pitch
 from calibration.rests.readings import RestReadings
 from calibration.rests.unknowns import find_unknowns
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest import statics
 from tests.calibration.rests.scenes import surveyed_robot
@@ -72,3 +73,21 @@ def test_geometry_without_covariance_is_held():
     read = RestReadings(time=np.zeros(1), length=np.zeros((1, 4)), skipped={})
     names = find_unknowns(robot, read, RestSettings(), relative=True).robot_names
     assert sorted({name.split("[")[0] for name in names}) == ["exit_points", "length_offset"]
+
+
+@pytest.mark.parametrize("name", ["length_noise", "offset_prior", "swivel_noise"])
+def test_noise_and_the_prior_of_the_zeros_are_positive(name):
+    with pytest.raises(InvalidField, match=f"{name}: got 0.0; allowed: {name} > 0"):
+        RestSettings(**{name: 0.0})
+
+
+def test_a_prior_of_zero_holds_the_error_of_a_sensor():
+    robot = surveyed_robot()
+    read = RestReadings(
+        time=np.zeros(1), length=np.zeros((1, 4)), tension=np.ones((1, 4)), skipped={}
+    )
+    names = find_unknowns(
+        robot, read, RestSettings(tension_scale_prior=0.0), relative=True
+    ).prior.names
+    assert not [name for name in names if name.startswith("tension_scale")]
+    assert len([name for name in names if name.startswith("tension_offset")]) == 4
