@@ -16,11 +16,11 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.rest import statics
 
-ROUNDS_MAX = 40
+ROUNDS_MAX = 100
 LENGTH_MIN_SHARE = 1e-3  # a search keeps lengths positive
-COST_SETTLED = 1e-3  # a step that lowers the sum of squares by less is the last one
-DAMPING_SETTLED_MAX = 1.0  # with more damping steps are short anywhere
-DAMPING_START, DAMPING_MAX = 1e-3, 1e12
+COST_SETTLED = 3e-3  # a step that changes the sum of squares by less is the last one
+DAMPING_SETTLED_MAX = 10.0  # with more damping steps are short anywhere
+DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-9, 1e12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ def fit(
     prior = model.unknowns.prior
     cost = _cost(model, value, length, rest, weight)
     damping, rounds, converged = DAMPING_START, 0, False
-    linear = _weighted(model.linear(value, length, rest), weight)
+    linear, fresh = _weighted(model.linear(value, length, rest), weight), False
     while rounds < ROUNDS_MAX and damping < DAMPING_MAX:
         rounds += 1
         pull = prior.information @ (prior.mean - value)
@@ -93,15 +93,17 @@ def fit(
         new_value, new_length = value + step.shared, length + step.own
         found = model.equilibria(new_value, np.maximum(new_length, LENGTH_MIN_SHARE * length), rest)
         new_cost = _cost(model, new_value, new_length, found, weight)
-        if not (found.converged.all() and new_cost <= cost * (1.0 + 1e-9)):
+        small = abs(cost - new_cost) < COST_SETTLED and damping < DAMPING_SETTLED_MAX
+        converged = bool(found.converged.all()) and small
+        if found.converged.all() and new_cost <= cost * (1.0 + 1e-9):
+            value, length, rest, cost = new_value, new_length, found, new_cost
+            linear, fresh = _weighted(model.linear(value, length, rest), weight), False
+            damping = max(0.3 * damping, DAMPING_MIN)
+        elif fresh:
             damping *= 4.0
-            continue
-        small = cost - new_cost < COST_SETTLED and damping < DAMPING_SETTLED_MAX
-        value, length, rest, cost = new_value, new_length, found, new_cost
-        linear = _weighted(model.linear(value, length, rest), weight)
-        damping = max(0.3 * damping, 1e-9)
-        if small:
-            converged = True
+        else:
+            linear, fresh = _weighted(model.linear(value, length, rest, fresh=True), weight), True
+        if converged:
             break
     pull = prior.information @ (prior.mean - value)
     return RestFit(

@@ -87,8 +87,20 @@ class RestModel:
         """Return measured minus predicted readings in standard deviations, shape (K, m)."""
         return self._residual(self.unknowns.robot_at(value), value, length, rest)
 
-    def linear(self, value: Array, length: Array, rest: statics.Equilibrium) -> LinearSamples:
-        """Return residuals and their derivatives; a sample's own unknowns are its true lengths."""
+    def linear(
+        self, value: Array, length: Array, rest: statics.Equilibrium, *, fresh: bool = False
+    ) -> LinearSamples:
+        """Return residuals and their derivatives; a sample's own unknowns are its true lengths.
+
+        Args:
+            value: Of the shared parameters, shape (k,).
+            length: True lengths [m], shape (K, n).
+            rest: Equilibria there.
+            fresh: True to take derivatives by geometry anew, even if those of lengths nearby are
+                known.
+        """
+        if fresh:
+            self._kept = None
         return LinearSamples(
             residual=self.residual(value, length, rest),
             by_shared=self._by_shared(value, length, rest),

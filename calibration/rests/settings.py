@@ -41,7 +41,7 @@ class RestSettings:
     swivel_offset_prior: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse noise that is not positive, priors that are negative, and lengths without error."""
+        """Refuse noise that is not positive, negative priors, and lengths without error."""
         for name, value in vars(self).items():
             strict = name.endswith("_noise") or name == "offset_prior"
             good = value > 0.0 if strict else value >= 0.0
