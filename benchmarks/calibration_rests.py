@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, fields, replace
 from time import process_time
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -49,7 +50,7 @@ def suspended(n: int) -> Robot:
         for field in fields(base)
         if isinstance(value := getattr(base, field.name), np.ndarray) and len(value) == base.n
     }
-    changes = {
+    changes: dict[str, Any] = {
         "name": f"suspended_{n}", "cable_names": base.cable_names[:n],
         "exit_points": 2.0 * ring + [0.0, 0.0, 3.0], "anchor_points": 0.15 * ring,
         "pulley_radius": np.full(n, 0.03), "swivel_axis": np.tile([0.0, 0.0, 1.0], (n, 1)),
@@ -98,7 +99,7 @@ def rows_of(name: str, robot: Robot) -> list[tuple[str, ...]]:
         bare = replace(scene, recording=replace(scene.recording, tension=None))
         outcomes["all"].append(judge(scene, robot))
         outcomes["without load cells"].append(judge(bare, robot))
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for sensors, each in outcomes.items():
         position = 1e3 * np.array([o.position for o in each])
         rotation = np.rad2deg([o.rotation for o in each])
