@@ -59,6 +59,7 @@ bars: $(STAMP)  ## run the slow acceptance measurements but `learning`; figures 
 	$(BIN)/python -m benchmarks.simulator_bars
 	$(BIN)/python -m benchmarks.calibration_tachymeter
 	$(BIN)/python -m benchmarks.calibration_lengths
+	$(BIN)/python -m benchmarks.calibration_rests
 	$(BIN)/python -m benchmarks.calibration_hangprinter
 	$(BIN)/python -m benchmarks.calibration_identify
 	$(BIN)/python -m benchmarks.estimators

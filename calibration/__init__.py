@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from calibration.lengths.synthetic import LengthScene, LengthSceneSettings, draw_length_scene
     from calibration.observability import Observability, Unobservable
     from calibration.prior import Prior
+    from calibration.rests.calibrate import calibrate_rests
+    from calibration.rests.result import RestCalibration
+    from calibration.rests.settings import RestSettings
+    from calibration.rests.synthetic import RestScene, RestSceneSettings, draw_rest_scene
     from calibration.result import CalibrationResult
     from calibration.robot_update import updated, write_robot
     from calibration.self_calibration.calibrate import calibrate_motor_angles
@@ -81,6 +85,10 @@ _MODULES = {
     "Prior": "prior",
     "ReadingBlunder": "tachymeter.result",
     "ReferencePoint": "tachymeter.observations",
+    "RestCalibration": "rests.result",
+    "RestScene": "rests.synthetic",
+    "RestSceneSettings": "rests.synthetic",
+    "RestSettings": "rests.settings",
     "RunSettings": "identification.synthetic",
     "SampleBlunder": "self_calibration.result",
     "SelfCalibration": "self_calibration.result",
@@ -95,9 +103,11 @@ _MODULES = {
     "Unobservable": "observability",
     "calibrate_lengths": "lengths.calibrate",
     "calibrate_motor_angles": "self_calibration.calibrate",
+    "calibrate_rests": "rests.calibrate",
     "calibrate_tachymeter": "tachymeter.calibrate",
     "draw_length_scene": "lengths.synthetic",
     "draw_positions": "self_calibration.synthetic",
+    "draw_rest_scene": "rests.synthetic",
     "draw_robot": "self_calibration.synthetic",
     "draw_survey": "tachymeter.synthetic",
     "holds_motor_angles": "self_calibration.motor_angle_files",
@@ -133,6 +143,10 @@ __all__ = [
     "Prior",
     "ReadingBlunder",
     "ReferencePoint",
+    "RestCalibration",
+    "RestScene",
+    "RestSceneSettings",
+    "RestSettings",
     "RunSettings",
     "SampleBlunder",
     "SelfCalibration",
@@ -147,9 +161,11 @@ __all__ = [
     "Unobservable",
     "calibrate_lengths",
     "calibrate_motor_angles",
+    "calibrate_rests",
     "calibrate_tachymeter",
     "draw_length_scene",
     "draw_positions",
+    "draw_rest_scene",
     "draw_robot",
     "draw_survey",
     "holds_motor_angles",

@@ -159,7 +159,10 @@ def bring(folder: Path) -> None:
         shutil.copy(file, folder)
     for name in ("my-robot", "surveyed", "calibrated", "identified"):
         (folder / f"{name}.yaml").write_text(robot_text("carosac"), encoding="utf-8")
-    for page in ("calibration-tachymeter", "calibration-without-poses", "tutorial-calibrate"):
+    for page in (
+        "calibration-tachymeter", "calibration-without-poses", "calibration-rests",
+        "tutorial-calibrate",
+    ):  # fmt: skip
         _program(page, folder)
     (folder / "tilted.py").write_text(programs("your-controller")[0], encoding="utf-8")
     policies = ROOT / "learned" / "policies"

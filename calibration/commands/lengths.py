@@ -3,7 +3,8 @@
 The points are exit and anchor points, the poses measured ones, such as by motion capture. Blunders
 are left out and named. Set-ups that cannot tell the exit points are refused with the reason, as are
 swapped cables and wrong units. A file of motor angles (CSV, columns motor_A_deg and the like) needs
-no poses: they are unknowns there, and so are the drums.
+no poses: they are unknowns there, and so are the drums. Nor does a recording of rests, with load
+cells, an AHRS or swivel angles: it gives the zeros of lengths that may be relative, and all poses.
 
 Exit status 1 means that the result should not be used before a warning has been looked into.
 """
@@ -11,6 +12,7 @@ Exit status 1 means that the result should not be used before a warning has been
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -39,6 +41,7 @@ from calibration.report import (
     write_new_robot,
     write_report,
 )
+from calibration.rests.settings import RestSettings
 from calibration.robot_update import check_output
 from calibration.self_calibration.motor_angle_files import holds_motor_angles
 from carosac_toolkit.base.errors import InvalidField
@@ -58,6 +61,11 @@ MOTOR_ANGLE_OPTIONS = (
     "json",
     "seed",
 )  # options that count
+REST_OPTIONS = (
+    *MOTOR_ANGLE_OPTIONS, "start", "stop", "length_noise", "tension_noise", "attitude_noise",
+    "swivel_noise", "offset_prior",
+)  # fmt: skip
+REST_ONLY_OPTIONS = ("tension_noise", "attitude_noise", "swivel_noise")
 WEAK_SENTENCES_MAX = 8  # on what is hardly known, on the screen; the report has all
 
 
@@ -66,8 +74,8 @@ class Options(CommonOptions):
     """Options of ``carosac calibrate lengths``."""
 
     recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
-    """A bundled recording, a .parquet, .csv or .mat file with measured poses, or a CSV of motor
-    angles."""
+    """A bundled recording, a .parquet, .csv or .mat file with measured poses or of rests, or a CSV
+    of motor angles."""
     robot: str | None = None
     """A bundled robot or a YAML file; by default the one that the recording names, or else the
     bundled one with the exit points measured in it."""
@@ -82,7 +90,14 @@ class Options(CommonOptions):
     suggest_poses: int = 0
     """Number of further poses to suggest, those that would teach most about the exit points."""
     length_noise: float | None = None
-    """Standard deviation of a reading [m]; by default estimated from what the fit leaves."""
+    """Standard deviation of a reading [m]; by default estimated from what the fit leaves, and
+    0.5 mm for rests without poses."""
+    tension_noise: float = RestSettings.tension_noise
+    """Rests without poses: standard deviation of a load cell, as a share of its reading."""
+    attitude_noise: float = RestSettings.attitude_noise
+    """Rests without poses: standard deviation of an AHRS or inclinometer, per axis [rad]."""
+    swivel_noise: float = RestSettings.swivel_noise
+    """Rests without poses: standard deviation of a swivel angle [rad]."""
     position_noise: float = LengthSettings.position_noise
     """Standard deviation of a measured position, per axis [m]."""
     rotation_noise: float = LengthSettings.rotation_noise
@@ -110,12 +125,19 @@ def run(options: Options) -> CommandResult:
     if holds_motor_angles(path):
         from calibration.self_calibration.command import run_motor_angles
 
-        _check_without_poses(options)
+        _check_options(options, MOTOR_ANGLE_OPTIONS, "not with a file of motor angles")
         return run_motor_angles(options, path)
     if not 0 <= options.suggest_poses <= SUGGESTED_POSES_MAX:
         raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {SUGGESTED_POSES_MAX}")
-    settings = _settings(options)
     recording = load_recording(path)
+    if recording.poses is None:
+        from calibration.rests.command import run_rests
+
+        _check_options(options, REST_OPTIONS, "not with a recording without poses")
+        return run_rests(options, _rest_settings(options), recording, path)
+    others = [name for name in vars(options) if name not in REST_ONLY_OPTIONS]
+    _check_options(options, others, "not with a recording with poses")
+    settings = _settings(options)
     robot_source = find_robot(recording, path, options.robot)
     check_output("--output", options.output, robot_source.name)
     if options.report is not None:
@@ -145,13 +167,22 @@ def run(options: Options) -> CommandResult:
     return CommandResult(data, status=1 if result.warnings else 0)
 
 
-def _check_without_poses(options: Options) -> None:
-    """Refuse options that a file of motor angles leaves without effect."""
+def _check_options(options: Options, allowed: Sequence[str], where: str) -> None:
+    """Refuse options that are without effect with such a file."""
     for name, default in vars(Options(recording="")).items():
         value = getattr(options, name)
-        if name not in MOTOR_ANGLE_OPTIONS and value != default:
-            allowed = "not with a file of motor angles, where it has no effect"
-            raise InvalidField(f"--{name.replace('_', '-')}", value, allowed)
+        if name not in allowed and value != default:
+            raise InvalidField(
+                f"--{name.replace('_', '-')}", value, f"{where}, where it has no effect"
+            )
+
+
+def _rest_settings(options: Options) -> RestSettings:
+    """Return the noise and priors for a recording without poses."""
+    chosen = {name: getattr(options, name) for name in (*REST_ONLY_OPTIONS, "offset_prior")}
+    if options.length_noise is not None:
+        chosen["length_noise"] = options.length_noise
+    return RestSettings(**chosen)
 
 
 def _settings(options: Options) -> LengthSettings:

@@ -31,7 +31,8 @@ from carosac_toolkit.interchange.bag_channels import (
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
 from carosac_toolkit.recordings.files import save_recording
 
-_OTHER_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
+_PER_CABLE = ("lengths", "tension", "command", "rates", "swivel")
+_OTHER_CHANNELS = (*_PER_CABLE[1:], "pose", "imu", "attitude", "inclination", "output")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +53,21 @@ class Options(CommonOptions):
     """Commanded lengths, in the same way."""
     rates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
     """Rates of the lengths, in the same way; of JointState the velocity."""
+    swivel: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Angles of the pulleys about their swivel axes [rad], in the same way; of JointState the
+    position."""
     pose: Annotated[str | None, tyro.conf.arg(metavar="TOPIC[.FIELD]")] = None
     """Measured poses: PoseStamped, TransformStamped, Odometry, tf, or the FIELD with a pose."""
     frames: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PARENT CHILD")] = ()
     """For a topic of tf: the frames of world and platform."""
     imu: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
     """Inertial samples: sensor_msgs/Imu."""
+    attitude: Annotated[str | None, tyro.conf.arg(metavar="TOPIC[.FIELD]")] = None
+    """Orientation of an AHRS on the platform: sensor_msgs/Imu (orientation), QuaternionStamped, or
+    the FIELD with a quaternion."""
+    inclination: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Roll and pitch of an inclinometer on the platform [rad]: one topic with two numbers, or one
+    of each."""
     names: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """For JointState: the joints of the cables, in the order of the robot's cables."""
     length_unit: Literal["m", "cm", "mm"] = "m"
@@ -100,7 +110,8 @@ def _topics(options: Options) -> Topics:
         raise InvalidField("--frames", " ".join(options.frames), "two: PARENT CHILD")
     if options.frames and options.pose is None:
         raise InvalidField("--frames", " ".join(options.frames), "nothing without --pose")
-    single = max(len(getattr(options, x)) for x in ("lengths", "tension", "command", "rates")) < 2
+    several = (*_PER_CABLE, "inclination")
+    single = max(len(getattr(options, name)) for name in several) < 2
     if options.together is not None and single:
         allowed = "nothing without a topic for each cable"
         raise InvalidField("--together", f"{options.together} s", allowed)
@@ -109,8 +120,11 @@ def _topics(options: Options) -> Topics:
         tensions=options.tension,
         commands=options.command,
         rates=options.rates,
+        swivels=options.swivel,
         pose=options.pose,
         imu=options.imu,
+        attitude=options.attitude,
+        inclination=options.inclination,
         frames=options.frames,
         names=options.names,
         together=options.together,
@@ -143,13 +157,13 @@ def _use(bag: Bag, topic: Topic) -> str:
     """Name the option that fits a message type; for unknown types the numeric fields."""
     kind = topic.kind
     if kind == IMU_TYPE:
-        return "--imu"
+        return "--imu, --attitude"
     if kind in TF_TYPES:
         return "--pose, with --frames"
     if kind in POSE_TYPES:
         return "--pose"
     if kind in LENGTH_TYPES:
-        return "--lengths, --tension"
+        return "--lengths, --tension, --swivel"
     fields = numeric(bag.first(topic.name))
     return f"{topic.name}.FIELD of {fields}" if fields else ""
 

@@ -33,6 +33,7 @@ _POSE_FIELDS = {
 }  # fmt: skip
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 IMU_TYPE = "sensor_msgs/msg/Imu"
+_ATTITUDE_FIELDS = {IMU_TYPE: "orientation", "geometry_msgs/msg/QuaternionStamped": "quaternion"}
 POSE_TYPES = (*_POSE_FIELDS, *TF_TYPES)
 LENGTH_TYPES = tuple(_LENGTH_FIELDS)
 _CHANNEL_PATTERN = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
@@ -157,6 +158,30 @@ def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
         row = [rate.x, rate.y, rate.z, force.x, force.y, force.z]
         samples.add(time, _stamp(message), row)
     return samples.ordered(topic, stamps)
+
+
+def attitudes(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
+    """Return quaternions w x y z of a topic, shape (K, 4); ROS orders them x y z w.
+
+    Args:
+        bag: Bag of the topic.
+        spec: ``/topic`` or ``/topic.field``; of ``sensor_msgs/Imu`` the orientation.
+        stamps: Preferred clock.
+
+    Raises:
+        InvalidField: No such topic or field, or one without a quaternion.
+    """
+    topic, field = split_spec(spec, "--attitude")
+    kind = bag.topic(topic, "--attitude").kind
+    path = field or _ATTITUDE_FIELDS.get(kind)
+    samples = _Samples(bag.name)
+    for time, message in bag.messages(topic):
+        turn: Any = None if path is None else _at(message, path, spec, "--attitude")
+        if not all(hasattr(turn, axis) for axis in "wxyz"):
+            allowed = f"a topic of {', '.join(_ATTITUDE_FIELDS)}, or {topic}.FIELD of a quaternion"
+            raise InvalidField("--attitude", f"{spec!r}, {kind}", allowed)
+        samples.add(time, _stamp(message), [turn.w, turn.x, turn.y, turn.z])
+    return samples.ordered(f"{topic}.{path}", stamps)
 
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:

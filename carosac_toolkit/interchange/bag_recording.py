@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from carosac_toolkit.interchange.bag_channels import (
     STAMP_SOURCES,
     Nanoseconds,
     TopicSamples,
+    attitudes,
     inertial,
     numbers,
     poses,
@@ -23,8 +25,9 @@ from carosac_toolkit.interchange.bag_channels import (
 from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.recordings.recording import STAMPED_CHANNELS, Recording
 
+_LENGTH_CHANNELS = ("command", "length_rate")  # in units of length, or of it per second
 _DELAY_DIFFERENCE_MAX_S = 1.0  # [s] by which delays of two channels may differ before a warning
 
 
@@ -37,8 +40,11 @@ class Topics:
         tensions: In the same way, or nothing.
         commands: Commanded lengths, in the same way, or nothing.
         rates: Rates of the lengths, in the same way, or nothing.
+        swivels: Swivel angles of the pulleys [rad], in the same way, or nothing.
         pose: A topic of poses, or None.
         imu: A topic of ``sensor_msgs/Imu``, or None.
+        attitude: A topic of orientations of an AHRS, or None.
+        inclination: A topic of roll and pitch of an inclinometer [rad], or one of each, or nothing.
         frames: Parent and child frame, where `pose` is a topic of many transforms.
         names: Names of the cables in a topic with names, such as JointState, in their order.
         together: Stamps of the topics of single cables that are one sample [s], or None.
@@ -52,8 +58,11 @@ class Topics:
     tensions: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     rates: tuple[str, ...] = ()
+    swivels: tuple[str, ...] = ()
     pose: str | None = None
     imu: str | None = None
+    attitude: str | None = None
+    inclination: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     together: float | None = None
@@ -104,6 +113,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
         ("tension", "--tension", topics.tensions),
         ("command", "--command", topics.commands),
         ("length_rate", "--rates", topics.rates),
+        ("swivel_angle", "--swivel", topics.swivels),
     ):
         if specs:
             samples = _cables(bag, specs, option, topics, notes)
@@ -112,6 +122,10 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
         channels["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
     if topics.imu is not None:
         channels["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
+    if topics.attitude is not None:
+        channels["attitude"] = attitudes(bag, topics.attitude, stamps=topics.stamps)
+    if topics.inclination:
+        channels["inclination"] = _roll_and_pitch(bag, topics, notes)
     if topics.names and not any(samples.labels for samples in channels.values()):
         raise InvalidField("--names", " ".join(topics.names), "none, as these topics have no names")
     for channel, samples in channels.items():
@@ -150,6 +164,16 @@ def _cables(
     repeated = sum(samples.repeated for samples in each)
     labels = tuple(samples.topic for samples in each)
     return TopicSamples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
+
+
+def _roll_and_pitch(bag: Bag, topics: Topics, notes: list[str]) -> TopicSamples:
+    """Return roll and pitch: from one topic, or from one topic of each."""
+    unnamed = replace(topics, names=())
+    samples = _cables(bag, topics.inclination, "--inclination", unnamed, notes)
+    if samples.value.shape[1] != 2:
+        got = f"{samples.value.shape[1]} numbers in {samples.topic}"
+        raise InvalidField("--inclination", got, "two: roll and pitch [rad]")
+    return samples
 
 
 def _in_order_of(lengths: TopicSamples, samples: TopicSamples) -> TopicSamples:
@@ -197,9 +221,12 @@ def _recording(
 ) -> Recording:
     """Return all channels on one clock that begins with the first sample."""
     lengths = channels["unstrained_length"]
-    stamped = {
-        name: Stamped(time=_seconds(samples, start), value=factor * samples.value)
-        for name, factor in (("tension", 1.0), ("command", scale), ("length_rate", scale))
+    stamped: dict[str, Any] = {
+        name: Stamped(
+            time=_seconds(samples, start),
+            value=(scale if name in _LENGTH_CHANNELS else 1.0) * samples.value,
+        )
+        for name in STAMPED_CHANNELS
         if (samples := channels.get(name)) is not None
     }
     where = channels.get("poses")
@@ -227,9 +254,7 @@ def _recording(
             created_by=f"carosac import recording {__version__}",
             length_kind=topics.length_kind,
         ),
-        tension=stamped.get("tension"),
-        command=stamped.get("command"),
-        length_rate=stamped.get("length_rate"),
+        **stamped,
     )
 
 

@@ -14,6 +14,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.file_limits import check_recording
 from carosac_toolkit.recordings.columns import (
     FIXED_COLUMNS,
+    QUATERNION_COLUMNS,
     TIME_COLUMN,
     canonical,
     exit_point_columns,
@@ -91,14 +92,15 @@ class Cells:
         self._faults.add(texts, count)
         return filled, samples
 
-    def check_quaternions(self, filled: Mask, samples: Array) -> None:
-        """Note quaternions that are no rotation, unless there are other faults."""
+    def check_quaternions(self, channel: str, filled: Mask, samples: Array) -> None:
+        """Note quaternions of a channel that are no rotation, unless there are other faults."""
         if self._faults:
             return
-        norm = np.linalg.norm(samples[:, 3:], axis=1)
+        columns = QUATERNION_COLUMNS[channel]
+        norm = np.linalg.norm(samples[:, columns], axis=1)
         bad = np.flatnonzero(~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE))
         rows = np.flatnonzero(filled)
-        first, *_, last = FIXED_COLUMNS["poses"][3:]
+        first, *_, last = FIXED_COLUMNS[channel][columns]
         texts = (
             f"{self._table.row_name(int(rows[k]))}, columns {first!r} to {last!r}: got norm "
             f"{norm[k]:.6g}; allowed: within {UNIT_NORM_TOLERANCE:g} of 1"

@@ -12,6 +12,7 @@ CABLE_COLUMNS = {
     "length_rate": "length_rate_{:02d}_m_per_s",
     "tension": "tension_{:02d}_N",
     "command": "unstrained_length_command_{:02d}_m",
+    "swivel_angle": "swivel_angle_{:02d}_rad",
 }
 FIXED_COLUMNS = {
     "poses": (
@@ -22,7 +23,10 @@ FIXED_COLUMNS = {
         *(f"imu_angular_rate_{axis}_rad_per_s" for axis in "xyz"),
         *(f"imu_specific_force_{axis}_m_per_s2" for axis in "xyz"),
     ),
+    "attitude": tuple(f"attitude_quaternion_{axis}" for axis in "wxyz"),
+    "inclination": ("inclination_roll_rad", "inclination_pitch_rad"),
 }
+QUATERNION_COLUMNS = {"poses": slice(3, 7), "attitude": slice(0, 4)}  # of a channel's columns
 TIME_COLUMN = "time_s"
 CHANNEL_UNITS = {
     "time": "s",
@@ -34,10 +38,13 @@ CHANNEL_UNITS = {
     "quaternion": "1",
     "imu_angular_rate": "rad/s",
     "imu_specific_force": "m/s^2",
+    "swivel_angle": "rad",
+    "attitude": "1",
+    "inclination": "rad",
 }
 _NUMBERED_COLUMN = re.compile(
-    r"(unstrained_length|cable_length|length_rate|tension|unstrained_length_command|exit_point)"
-    r"_(\d{1,3})_(m|m_per_s|N|x_m|y_m|z_m)"
+    r"(unstrained_length|cable_length|length_rate|tension|unstrained_length_command|exit_point"
+    r"|swivel_angle)_(\d{1,3})_(m|m_per_s|N|rad|x_m|y_m|z_m)"
 )
 _COLUMN_ALIASES = {"cable_length": "unstrained_length"}
 _HINTS_MAX = 20  # names for which a similar one is searched

@@ -17,6 +17,7 @@ from carosac_toolkit.recordings.columns import (
     CABLE_COLUMNS,
     CHANNEL_UNITS,
     FIXED_COLUMNS,
+    QUATERNION_COLUMNS,
     TIME_COLUMN,
     cables,
     channel_columns,
@@ -116,8 +117,8 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
     for channel in (*CABLE_COLUMNS, *FIXED_COLUMNS):
         if channel_columns(channel, n)[0] in columns.written:
             filled, values = columns.samples(channel_columns(channel, n))
-            if channel == "poses":
-                columns.check_quaternions(filled, values)
+            if channel in QUATERNION_COLUMNS:
+                columns.check_quaternions(channel, filled, values)
             if len(values):
                 channels[channel] = _frozen(time[filled]), values
     points = columns.exit_points(n)

@@ -16,6 +16,20 @@ from carosac_toolkit.loop.values import Pose
 UNIT_NORM_TOLERANCE = 1e-3  # rounded quaternions are accepted, and normalised where they are used
 
 
+def check_unit_norm(name: str, quaternion: Array) -> None:
+    """Refuse quaternions (M, 4) that are no rotation.
+
+    Raises:
+        InvalidField: Names the first one.
+    """
+    norm = np.linalg.norm(quaternion, axis=1)
+    bad = ~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE)
+    if bad.any():
+        index = int(np.argmax(bad))
+        allowed = f"a norm within {UNIT_NORM_TOLERANCE:g} of 1"
+        raise InvalidField(f"{name}[{index}]", f"norm {norm[index]:.6g}", allowed)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseInterpolation:
     """Poses between measured ones, and whether they may be trusted.
@@ -49,12 +63,7 @@ class PoseSamples:
         for name, shape in (("time", (m,)), ("position", (m, 3)), ("quaternion", (m, 4))):
             array = frozen_array(f"poses.{name}", getattr(self, name), shape)
             object.__setattr__(self, name, array)
-        norm = np.linalg.norm(self.quaternion, axis=1)
-        bad = ~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE)
-        if bad.any():
-            index = int(np.argmax(bad))
-            allowed = f"a norm within {UNIT_NORM_TOLERANCE:g} of 1"
-            raise InvalidField(f"poses.quaternion[{index}]", f"norm {norm[index]:.6g}", allowed)
+        check_unit_norm("poses.quaternion", self.quaternion)
 
     @classmethod
     def from_rotation(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +12,19 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Imu, Measurement, Stamped
-from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
+from carosac_toolkit.recordings.columns import (
+    FIXED_COLUMNS,
+    POSE_COLUMNS_TEXT,
+    channel_columns,
+)
 from carosac_toolkit.recordings.metadata import RecordingMetadata
-from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples
+from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples, check_unit_norm
 from carosac_toolkit.robot.robot import Robot
 
 Channel = TypeVar("Channel", Stamped, PoseSamples, Imu)
 
-STAMPED_CHANNELS = ("length_rate", "tension", "command")
+CABLE_CHANNELS = ("length_rate", "tension", "command", "swivel_angle")  # a column per cable
+STAMPED_CHANNELS = (*CABLE_CHANNELS, "attitude", "inclination")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +37,14 @@ class Recording:
         length_rate: Rate of the unstrained length [m/s], (K, n) with its times, or None.
         tension: Tension at the platform [N], (K, n) with its times, or None.
         command: Commanded unstrained length [m], (K, n) with its times, or None.
+        swivel_angle: Angle of each pulley about its swivel axis [rad], (K, n) with its times, or
+            None. Sign and zero are those of `carosac_toolkit.physics.cable.swivel`: right-handed
+            about `swivel_axis`, 0 towards x of W. Cables without a pulley have any number, say 0.
+        attitude: Orientation of an AHRS on the platform: quaternions w x y z from the frame of the
+            sensor to a level frame, z up, of any heading, (K, 4) with their times, or None.
+        inclination: Roll and pitch of an inclinometer on the platform [rad], (K, 2) with their
+            times, or None: R_z(yaw) R_y(pitch) R_x(roll) rotates from the frame of the sensor to a
+            level frame, z up.
         poses: Measured by motion capture or the like, (M, ...) with their times, or None.
         imu: Inertial samples with times (K,), without a batch axis, or None.
         exit_points: Exit points measured in the run, medians in W [m], shape (n, 3), or None.
@@ -43,6 +56,9 @@ class Recording:
     length_rate: Stamped | None = None
     tension: Stamped | None = None
     command: Stamped | None = None
+    swivel_angle: Stamped | None = None
+    attitude: Stamped | None = None
+    inclination: Stamped | None = None
     poses: PoseSamples | None = None
     imu: Imu | None = None
     exit_points: Array | None = None
@@ -62,6 +78,8 @@ class Recording:
             object.__setattr__(self, "exit_points", frozen)
         for name in STAMPED_CHANNELS:
             self._check_stamped(name)
+        if self.attitude is not None:
+            check_unit_norm("attitude.value", self.attitude.value)
         for name, time in self.channel_times.items():
             _check_increasing("time" if name == "unstrained_length" else f"{name}.time", time)
         if self.metadata.length_kind == "unstrained" and not (self.unstrained_length > 0).all():
@@ -146,15 +164,16 @@ class Recording:
         if not 0 <= start < end <= len(self.time):
             raise InvalidField("slice", f"{start}:{stop}", f"0 <= start < stop <= {len(self.time)}")
         first, last = self.time[start], self.time[end - 1]
+        stamped: dict[str, Any] = {
+            name: _cut(getattr(self, name), first, last) for name in STAMPED_CHANNELS
+        }
         return replace(
             self,
             time=self.time[start:end],
             unstrained_length=self.unstrained_length[start:end],
-            length_rate=_cut(self.length_rate, first, last),
-            tension=_cut(self.tension, first, last),
-            command=_cut(self.command, first, last),
             poses=_cut(self.poses, first, last),
             imu=_cut(self.imu, first, last),
+            **stamped,
         )
 
     def require_cables(self, robot: Robot) -> None:
@@ -170,10 +189,14 @@ class Recording:
             raise InvalidField("unstrained_length", f"{self.n} cables", allowed)
 
     def _check_stamped(self, name: str) -> None:
-        """Refuse a channel with another number of cables."""
+        """Refuse a channel with another number of columns."""
         channel: Stamped | None = getattr(self, name)
-        if channel is not None and channel.value.shape != (len(channel.time), self.n):
-            allowed = f"shape (K, {self.n}), one column per cable"
+        per_cable = name in CABLE_CHANNELS
+        columns = len(channel_columns(name, self.n))
+        if channel is not None and channel.value.shape != (len(channel.time), columns):
+            allowed = f"shape (K, {columns}), " + (
+                "one column per cable" if per_cable else f"columns {list(FIXED_COLUMNS[name])}"
+            )
             raise InvalidField(f"{name}.value", f"shape {channel.value.shape}", allowed)
 
 

@@ -68,7 +68,7 @@ def test_a_recording_comes_from_a_bag(tmp_path, capsys):
     ]
     bag, output = str(bags.write(tmp_path, messages)), tmp_path / "run.csv"
     assert main(["import", "recording", bag]) == 0
-    assert "--lengths, --tension" in capsys.readouterr().out
+    assert "--lengths, --tension, --swivel" in capsys.readouterr().out
     assert main(["import", "recording", bag, "--lengths", "/array", "--output", str(output)]) == 0
     assert "receive" in capsys.readouterr().out
     assert load_recording(output).unstrained_length[:, 0].tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]

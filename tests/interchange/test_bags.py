@@ -119,6 +119,17 @@ def test_topics_of_single_cables_are_put_together_only_when_asked(mcap):
     assert np.array_equal(backwards.unstrained_length, LENGTHS[:, ::-1])
 
 
+def test_swivel_angles_attitude_and_inclination_are_channels(mcap):
+    run = read(
+        mcap, lengths=("/array",), swivels=("/joints",), names=tuple(NAMES), attitude="/imu",
+        inclination=("/imu.angular_velocity.x", "/imu.angular_velocity.y"),
+    ).recording  # fmt: skip
+    assert np.array_equal(run.swivel_angle.value, LENGTHS)  # positions of the joints
+    np.testing.assert_allclose(np.linalg.norm(run.attitude.value, axis=1), 1.0, atol=1e-12)
+    assert run.inclination.value.shape == (len(run.attitude.time), 2)
+    np.testing.assert_array_equal(run.inclination.time, run.attitude.time)
+
+
 def test_receipt_times_of_all_are_one_clock(mcap):
     topics = {"lengths": ("/array",), "pose": "/mocap", "stamps": "receive"}
     found = read(mcap, **topics)
@@ -186,6 +197,8 @@ def test_a_rate_counts_the_gaps(mcap):
         ({"lengths": ("/array",), "pose": "/tf"}, "--frames: got nothing; .* world camera"),
         ({"lengths": ("/array",), "pose": "/imu"}, "--pose: got '/imu'"),
         ({"lengths": ("/array",), "imu": "/mocap"}, "--imu: got '/mocap', geometry_msgs"),
+        ({"lengths": ("/array",), "attitude": "/joints"}, "--attitude: got '/joints', sensor_msgs"),
+        ({"lengths": ("/array",), "inclination": ("/array",)}, "4 numbers in /array.data; .* two"),
         ({"lengths": ("/array", "/array")}, "several numbers in /array.data"),
         ({"lengths": ()}, "a recording needs them"),
         ({"lengths": ("/array",), "stamps": "mine"}, "--stamps: got 'mine'"),

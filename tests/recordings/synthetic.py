@@ -44,6 +44,11 @@ def full_recording(n: int = 4, seed: int = 0, **changes: Any) -> Recording:
             robot="carosac", description='quotes ", commas, # and\nlines: äöü', licence="none"
         ),
     }
+    attitude = rng.normal(size=(21, 4))
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    channels["swivel_angle"] = stamped(13, 0.0)
+    channels["attitude"] = Stamped(time=times(21), value=attitude)
+    channels["inclination"] = Stamped(time=times(40), value=rng.normal(0.0, 0.1, (40, 2)))
     return Recording(**(channels | changes))
 
 

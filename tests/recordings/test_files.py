@@ -44,11 +44,41 @@ def test_extreme_numbers_come_back(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", LOSSLESS)
-@pytest.mark.parametrize("absent", ["tension", "poses", "imu", "command", "exit_points"])
+@pytest.mark.parametrize(
+    "absent",
+    [
+        "tension",
+        "poses",
+        "imu",
+        "command",
+        "exit_points",
+        "swivel_angle",
+        "attitude",
+        "inclination",
+    ],
+)
 def test_an_absent_channel_stays_absent(tmp_path, suffix, absent):
     recording = full_recording(**{absent: None})
     save_recording(recording, tmp_path / f"run.{suffix}")
     assert_same(load_recording(tmp_path / f"run.{suffix}"), recording)
+
+
+def test_a_plain_table_has_swivel_angles_attitude_and_inclination(tmp_path):
+    path = tmp_path / "run.csv"
+    names = [
+        "time_s", "cable_length_1_m", "swivel_angle_1_rad",
+        *(f"attitude_quaternion_{axis}" for axis in "wxyz"),
+        "inclination_roll_rad", "inclination_pitch_rad",
+    ]  # fmt: skip
+    path.write_text(",".join(names) + "\n0,5,0.1,0.6,0,0.8,0,,\n1,5,,,,,,0.02,0.03\n")
+    recording = load_recording(path)
+    assert recording.swivel_angle.value.tolist() == [[0.1]]
+    assert recording.attitude.value.tolist() == [[0.6, 0.0, 0.8, 0.0]]
+    assert recording.inclination.time.tolist() == [1.0]
+    assert recording.inclination.value.tolist() == [[0.02, 0.03]]
+    path.write_text(path.read_text().replace("0.6,0,0.8", "0.6,0,0.6"))
+    with pytest.raises(InvalidFile, match=r"'attitude_quaternion_w' to .*: got norm 0\.84"):
+        load_recording(path)
 
 
 def test_formats_convert_into_each_other_without_loss(tmp_path, recording):

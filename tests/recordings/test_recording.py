@@ -41,6 +41,21 @@ def test_an_empty_slice_is_refused(start, stop):
         full_recording().slice(start, stop)
 
 
+@pytest.mark.parametrize(
+    ("channel", "value", "message"),
+    [
+        ("swivel_angle", np.zeros((1, 3)), r"swivel_angle.value: .* shape \(K, 2\), one column"),
+        ("attitude", np.zeros((1, 3)), r"attitude.value: .*\(K, 4\), columns .*quaternion_w"),
+        ("attitude", np.array([[1.0, 0.5, 0.0, 0.0]]), r"attitude.value\[0\]: got norm 1.118"),
+        ("inclination", np.zeros((1, 3)), r"\(K, 2\), columns \['inclination_roll_rad'"),
+    ],
+)
+def test_a_channel_of_another_shape_is_refused(channel, value, message):
+    samples = {channel: Stamped(time=np.zeros(1), value=value)}
+    with pytest.raises(InvalidField, match=message):
+        Recording(time=TIME, unstrained_length=LENGTHS, **samples)
+
+
 def test_measurements_hold_every_inertial_sample_once_and_no_pose():
     recording = full_recording()
     measurements = [recording.measurement(i) for i in range(len(recording.time))]

@@ -1,0 +1,1 @@
+"""Calibration from sensors at poses of rest that nobody measured."""
