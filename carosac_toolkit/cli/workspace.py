@@ -219,8 +219,8 @@ def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper:
         print(f"{title}: {region.sentence()}.\n")
         size, unit = region.grid.cell * len(region.verdicts.margin), _unit(region)
         print(
-            f"  {plain(region.volume, 4)} {unit} of {plain(size, 4)} {unit}, box {_vector(lower)} to "
-            f"{_vector(upper)} m, {len(region.verdicts.margin)} positions"
+            f"  {plain(region.volume, 4)} {unit} of {plain(size, 4)} {unit}, "
+            f"box {_vector(lower)} to {_vector(upper)} m, {len(region.verdicts.margin)} positions"
         )
         inside = region.verdicts.margin[region.verdicts.inside]
         if len(inside):
