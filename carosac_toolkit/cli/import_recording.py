@@ -36,6 +36,7 @@ from carosac_toolkit.interchange.bag_channels import (
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
+from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording, save_recording
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
@@ -146,12 +147,13 @@ def _aligned(
 ) -> tuple[Recording, dict[str, Any]]:
     """Align clocks and print by how much; return the numbers too."""
     robot = find_robot(recording, path, options.robot).robot
+    recording.require_cables(robot)
     channels = options.align_channels or ALIGNED_CHANNELS
     for name in options.align_channels:
         if name not in recording.channel_times:
             allowed = f"of {[c for c in ALIGNED_CHANNELS if c in recording.channel_times]}"
             raise InvalidField("--align-channels", name, allowed)
-    clocks = channel_clocks(recording, robot, channels)
+    clocks = channel_clocks(calibrated(recording, robot), robot, channels)
     aligned = align_clocks(recording, clocks)
     rows = [
         (clock.channel, f"{1e3 * clock.shift.seconds:+.2f}", f"{1e3 * clock.shift.sigma:.2f}",

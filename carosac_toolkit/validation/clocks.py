@@ -23,7 +23,6 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.rest.structure import structure_matrix
-from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import slope
@@ -33,6 +32,8 @@ ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu")
 PLAUSIBLE_DELAY_S = 0.1  # [s]: the prior sigma of a delay in calibrations; clocks may differ by it
 OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
 MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
+UNEXPLAINED_SHARE_MAX = {"poses": 0.05}  # of the variance: cables or units are mixed up beyond
+UNEXPLAINED_SHARE_OTHER_MAX = 0.4
 SIX_CABLES = 6  # more have tensions that the motion does not fix
 REST_SAMPLES_MAX = 6000  # of the lengths, for which the pose of rest is solved
 IMU_BIN_S = 0.04  # [s] over which inertial samples are averaged
@@ -62,6 +63,8 @@ class ChannelClock:
         if shift is None or abs(shift.seconds) <= PLAUSIBLE_DELAY_S:
             return False
         left, before = 1.0 - shift.explained, 1.0 - shift.explained_unshifted
+        if left > UNEXPLAINED_SHARE_MAX.get(self.channel, UNEXPLAINED_SHARE_OTHER_MAX):
+            return False
         return (
             abs(shift.seconds) > OFFSET_SIGMAS_MIN * shift.sigma
             and before > MISFIT_RATIO_MIN * left
@@ -87,14 +90,14 @@ def channel_clocks(
     """Estimate the clock offset of each channel that a recording has.
 
     Args:
-        recording: As it was recorded, n cables.
+        recording: As calibrated (`carosac_toolkit.recordings.encoders.calibrated`), n cables.
         robot: With as many cables. Its `length_delay` is no offset of a clock.
         channels: Of `ALIGNED_CHANNELS`; those that the recording lacks are left out.
     """
     recording.require_cables(robot)
     times = recording.channel_times
     delay = robot.length_delay or 0.0
-    comparisons = _Comparisons(calibrated(recording, robot), robot)
+    comparisons = _Comparisons(recording, robot)
     clocks = []
     for channel in (name for name in channels if name in times):
         intervals = np.diff(times[channel])
@@ -114,9 +117,14 @@ def channel_clocks(
     return tuple(clocks)
 
 
-def clock_warnings(recording: Recording, robot: Robot) -> Iterator[str]:
-    """Name the channels whose clocks are apart from that of the lengths, and the remedy."""
-    for clock in channel_clocks(recording, robot):
+def clock_warnings(
+    recording: Recording, robot: Robot, channels: Sequence[str] = ALIGNED_CHANNELS
+) -> Iterator[str]:
+    """Name the channels whose clocks are apart from that of the lengths, and the remedy.
+
+    See `channel_clocks`.
+    """
+    for clock in channel_clocks(recording, robot, channels):
         if clock.is_apart and clock.shift is not None:
             side = "ahead of" if clock.shift.seconds > 0.0 else "behind"
             yield (

@@ -21,7 +21,7 @@ from carosac_toolkit.validation.another_robot import another_robot, cable_count_
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.first_motion import STATE_POSES_MIN, first_speed, first_state
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
-from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
+from carosac_toolkit.validation.plausibility import exit_point_distance, find_contradictions
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
@@ -100,7 +100,7 @@ def validate(
         rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
-        warnings=(*other, *find_mix_ups(robot, lengths, measured)),
+        warnings=(*other, *find_contradictions(recording, robot, lengths, measured)),
     )
 
 
