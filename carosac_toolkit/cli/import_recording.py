@@ -113,7 +113,7 @@ def run(options: Options) -> CommandResult:
             return _list(bag)
         imported = read_bag(bag, _topics(options))
     _say(imported)
-    recording, clocks = imported.recording, {}
+    recording, clocks = imported.recording, dict[str, Any]()
     if options.align:
         recording, clocks = _aligned(recording, Path(options.bag[0]), options)
     _save(recording, options.output)

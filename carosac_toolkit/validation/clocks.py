@@ -29,7 +29,7 @@ from carosac_toolkit.validation.phases import slope
 from carosac_toolkit.validation.time_shift import Signal, TimeShift, UnknownShift, find_shift
 
 ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu")
-PLAUSIBLE_DELAY_S = 0.1  # [s]: the prior sigma of a delay in calibrations; clocks may differ by it
+PLAUSIBLE_DELAY_S = 0.1  # [s]: a sensor may be late by as much
 OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
 MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
 UNEXPLAINED_SHARE_MAX = {"poses": 0.05}  # of the variance: cables or units are mixed up beyond
@@ -56,11 +56,10 @@ class ChannelClock:
     reason: str
     interval_deviation: float
 
-    @property
-    def is_apart(self) -> bool:
-        """True if the offset is clear, and larger than a delay of a sensor may be."""
+    def is_apart(self, delay_max: float = PLAUSIBLE_DELAY_S) -> bool:
+        """Return whether the offset is clear, and larger than a delay of a sensor may be [s]."""
         shift = self.shift
-        if shift is None or abs(shift.seconds) <= PLAUSIBLE_DELAY_S:
+        if shift is None or abs(shift.seconds) <= delay_max:
             return False
         left, before = 1.0 - shift.explained, 1.0 - shift.explained_unshifted
         if left > UNEXPLAINED_SHARE_MAX.get(self.channel, UNEXPLAINED_SHARE_OTHER_MAX):
@@ -110,27 +109,33 @@ def channel_clocks(
         except UnknownShift as error:
             reason = str(error)
         clocks.append(
-            ChannelClock(
-                channel=channel, shift=shift, reason=reason, interval_deviation=deviation
-            )
+            ChannelClock(channel=channel, shift=shift, reason=reason, interval_deviation=deviation)
         )
     return tuple(clocks)
 
 
 def clock_warnings(
-    recording: Recording, robot: Robot, channels: Sequence[str] = ALIGNED_CHANNELS
+    recording: Recording,
+    robot: Robot,
+    channels: Sequence[str] = ALIGNED_CHANNELS,
+    *,
+    delay_max: float = PLAUSIBLE_DELAY_S,
 ) -> Iterator[str]:
     """Name the channels whose clocks are apart from that of the lengths, and the remedy.
 
-    See `channel_clocks`.
+    Args:
+        recording: As calibrated.
+        robot: With as many cables.
+        channels: Whose clocks matter.
+        delay_max: What a delay of a sensor may be [s].
     """
     for clock in channel_clocks(recording, robot, channels):
-        if clock.is_apart and clock.shift is not None:
+        if clock.is_apart(delay_max) and clock.shift is not None:
             side = "ahead of" if clock.shift.seconds > 0.0 else "behind"
             yield (
                 f"The clock of channel {clock.channel} is {abs(clock.shift.seconds):.3f} s "
-                f"(+-{1e3 * clock.shift.sigma:.2g} ms) {side} that of the lengths: align it by 'carosac "
-                f"import recording RECORDING --align --robot {robot.name} --output "
+                f"(+-{1e3 * clock.shift.sigma:.2g} ms) {side} that of the lengths: align it by "
+                f"'carosac import recording RECORDING --align --robot {robot.name} --output "
                 "ALIGNED.parquet'."
             )
 
@@ -268,9 +273,7 @@ class _Comparisons:
         time, _, rotation, twist = self._motion()
         force = slope(time, twist[:, :3])
         force[:, 2] += self._robot.gravity
-        in_platform = (
-            np.einsum("kji,kj->ki", rotation, value) for value in (twist[:, 3:], force)
-        )
+        in_platform = (np.einsum("kji,kj->ki", rotation, value) for value in (twist[:, 3:], force))
         return Signal(time=time, value=np.hstack(list(in_platform)))
 
 

@@ -21,7 +21,7 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, clock_warnings
-from carosac_toolkit.validation.pose_frames import frame_warnings
+from carosac_toolkit.validation.pose_frames import find_frames
 from carosac_toolkit.validation.scores import rotation_angle
 
 Order = NDArray[np.intp]
@@ -109,9 +109,7 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
         position=measured.pose.position[measured.valid],
         rotation=measured.pose.rotation[measured.valid],
     )
-    return find_contradictions(
-        recording, robot, recording.unstrained_length[measured.valid], pose
-    )
+    return find_contradictions(recording, robot, recording.unstrained_length[measured.valid], pose)
 
 
 def find_contradictions(
@@ -144,7 +142,8 @@ def find_contradictions(
     mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
     if recording.metadata.length_kind != "unstrained":
         return mixed
-    frames = tuple(frame_warnings(robot, length, pose, zeros_known=zeros_known))
+    found = find_frames(robot, length, pose, zeros_known=zeros_known)
+    frames = () if found is None else tuple(found.sentences(robot))
     if mixed == (QUATERNION_ORDER_HINT,) and frames:  # half a turn about z looks alike
         return (*mixed, f"Otherwise: {frames[-1]}")
     return frames if _only_far(mixed) and frames else mixed

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.physics.scales import Scales
@@ -26,7 +27,7 @@ WORLD_TURN_MIN_RAD = 0.1  # [rad]: a smaller turn is a matter of calibration
 YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
-SHIFT_RATIO_MIN = 0.02  # of the mean cable length: a calibration moves points by less
+SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # zeros of lengths and exit points move it by less
 LEFT_SHARE_MAX = 0.5  # of the misfit that another frame may leave, to be named
 AXIS_COSINE_MIN = 0.98  # of a turn about an axis that goes by the axis's name
 
@@ -46,6 +47,35 @@ class PoseFrames:
     shift: Array
     body_turn: Array
 
+    @property
+    def turned(self) -> bool:
+        """True if the world frame or the tracked body is another one."""
+        return _angle(self.world_turn) > 0.0 or _angle(self.body_turn) > 0.0
+
+    def sentences(self, robot: Robot) -> Iterator[str]:
+        """Name the frames that are not those of the robot."""
+        world = Rotation.from_matrix(self.world_turn).as_rotvec()
+        body = Rotation.from_matrix(self.body_turn).as_rotvec()
+        moved, shifted = _components(self.shift), bool(self.shift.any())
+        if world.any():
+            yield (
+                f"The frame of the poses is turned against W of robot {robot.name}: they fit once "
+                f"turned by {_said(world)} of W"
+                + (f", then moved by {moved} m." if shifted else ".")
+            )
+        elif shifted:
+            yield (
+                f"Positions are {np.linalg.norm(self.shift):.2f} m from where the lengths hold the "
+                f"platform: they fit once moved by {moved} m in W. Is the tracked point the origin "
+                "of the platform frame, is the frame of the poses W, and are the zeros of the "
+                "lengths right?"
+            )
+        if body.any():
+            yield (
+                f"The tracked body is not the platform frame of robot {robot.name}: orientations "
+                f"fit once turned by {_said(body)} of the tracked body."
+            )
+
 
 def find_frames(
     robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
@@ -57,7 +87,7 @@ def find_frames(
         length: Unstrained [m], shape (S, n).
         pose: Measured at the same times.
         zeros_known: True if lengths are known but for what a calibration changes. If not, only
-            larger turns are looked for.
+            larger turns of the body are looked for, where the positions fit.
 
     Returns:
         Frames, those of the robot where another one would not explain over half of the misfit;
@@ -75,46 +105,18 @@ def find_frames(
     rests, attitudes = rest.position[good], rest.rotation[good]
     world = _turn_of_positions(position, rests)
     body = _mean_rotation((world @ rotation).swapaxes(1, 2) @ attitudes)
-    if not _explains_attitudes(world @ rotation, attitudes, body, zeros_known=zeros_known):
-        body = np.eye(3)
     missing = rests - position @ world.T
     shift = missing.mean(axis=0)
-    least = SHIFT_RATIO_MIN * Scales(robot).length
+    least = SHIFT_MIN.of(Scales(robot).ratios)
     scatter = float(np.sqrt(((missing - shift) ** 2).sum(axis=1).mean()))
-    if not zeros_known or not np.linalg.norm(shift) > max(least, scatter):
+    zeros_right = zeros_known or float(np.linalg.norm(shift)) < least
+    if not zeros_right or not _explains_attitudes(
+        world @ rotation, attitudes, body, zeros_known=zeros_known
+    ):
+        body = np.eye(3)
+    if not np.linalg.norm(shift) > max(least, scatter):
         shift = np.zeros(3)
     return PoseFrames(world_turn=world, shift=shift, body_turn=body)
-
-
-def frame_warnings(
-    robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
-) -> Iterator[str]:
-    """Name other frames that measured poses seem to be in; see `find_frames`."""
-    frames = find_frames(robot, length, pose, zeros_known=zeros_known)
-    if frames is None:
-        return
-    body, world = (Rotation.from_matrix(turn).as_rotvec() for turn in (
-        frames.body_turn, frames.world_turn,
-    ))  # fmt: skip
-    moved = _components(frames.shift)
-    shifted = bool(frames.shift.any())
-    if world.any():
-        yield (
-            f"The frame of the poses is turned against W of robot {robot.name}: they fit once "
-            f"turned by {_said(world)} of W" + (f", then moved by {moved} m." if shifted else ".")
-        )
-    elif shifted:
-        yield (
-            f"Positions are {np.linalg.norm(frames.shift):.2f} m from where the lengths hold the "
-            f"platform: they fit once moved by {moved} m in W. Is the tracked point the origin of "
-            "the platform frame, is the frame of the poses W, and are the zeros of the lengths "
-            "right?"
-        )
-    if body.any():
-        yield (
-            f"The tracked body is not the platform frame of robot {robot.name}: orientations fit "
-            f"once turned by {_said(body)} of the tracked body."
-        )
 
 
 def _turn_of_positions(position: Array, rests: Array) -> Array:

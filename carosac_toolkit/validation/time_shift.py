@@ -109,11 +109,11 @@ class _Comparison:
             return predicted
         if self._scaling == "each":  # a sensor may read too much, but not the other way round
             square = np.maximum((predicted**2).sum(axis=0), np.finfo(np.float64).tiny)
-            return predicted * np.maximum((measured * predicted).sum(axis=0) / square, 0.0)
-        return np.hstack([
-            predicted[:, part] @ np.linalg.lstsq(predicted[:, part], measured[:, part], rcond=None)[0]
-            for part in _vectors(predicted.shape[1])
-        ])  # fmt: skip
+            factor = np.maximum((measured * predicted).sum(axis=0) / square, 0.0)
+            return np.asarray(predicted * factor)
+        parts = [slice(first, first + 3) for first in range(0, predicted.shape[1], 3)]
+        mixed = [_projected(measured[:, part], predicted[:, part]) for part in parts]
+        return np.hstack(mixed)
 
     def cost(self, shift: float) -> float:
         """Return the share of the variance that is not explained where both overlap.
@@ -129,7 +129,7 @@ class _Comparison:
         variance = float((((measured - measured.mean(axis=0)) / self._spread) ** 2).mean())
         if free <= 0.0 or not variance > 0.0:
             return np.inf
-        return float((errors**2).mean()) / variance * blocks / free
+        return float((errors**2).mean() / variance * blocks / free)
 
 
 def find_shift(measured: Signal, predicted: Signal, *, scaling: Scaling = "none") -> TimeShift:
@@ -207,9 +207,9 @@ def _refuse_rivals(time: Array, grid: Array, costs: Array, shift: float, cost: f
         )
 
 
-def _vectors(columns: int) -> list[slice]:
-    """Return the slices of three columns each."""
-    return [slice(first, first + 3) for first in range(0, columns, 3)]
+def _projected(measured: Array, predicted: Array) -> Array:
+    """Return the combination of predicted columns that fits measured ones best."""
+    return np.asarray(predicted @ np.linalg.lstsq(predicted, measured, rcond=None)[0])
 
 
 def _slope(comparison: _Comparison, shift: float) -> tuple[Array, Array, NDArray[np.bool_]]:
