@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
@@ -22,6 +22,7 @@ from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_f
 from carosac_toolkit.validation.first_motion import STATE_POSES_MIN, first_speed, first_state
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_contradictions
+from carosac_toolkit.validation.residual_effects import ResidualEffects, residual_effects
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
@@ -38,6 +39,7 @@ def validate(
     start: int = 0,
     stop: int | None = None,
     seed: int = 0,
+    effects: bool = False,
 ) -> ValidationResult:
     """Score models on a recording: open loop on its lengths, against its measured poses.
 
@@ -54,6 +56,8 @@ def validate(
         start: First sample to score.
         stop: One past the last; None: to the end.
         seed: Given to every model.
+        effects: True to tell which effects the error of the best model that moves looks like
+            (`carosac_toolkit.validation.residual_effects`), for a plausible recording.
 
     Returns:
         Scores and diagnostics per model.
@@ -85,6 +89,9 @@ def validate(
     speed = anchor_speed(robot, recording.time[index], measured.position, measured.rotation)
     first = _first_motion(recording, robot)
     scoring = _Scoring(recording, robot, index, measured, resting, rests, first)
+    scored = {name: scoring.result(name, target, end, seed) for name, target in targets.items()}
+    warnings = (*other, *find_contradictions(recording, robot, lengths, measured))
+    moving = _best_moving(scored) if effects and not warnings else None
     return ValidationResult(
         robot=robot,
         start=start,
@@ -95,12 +102,14 @@ def validate(
         measured=measured,
         resting=resting,
         rests=rests,
-        models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
+        models=scored,
         starts_moving=first is not None,
         rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
-        warnings=(*other, *find_contradictions(recording, robot, lengths, measured)),
+        effects=None if moving is None else _effects(recording, robot, measured, moving),
+        effects_model="" if moving is None else moving.name,
+        warnings=warnings,
     )
 
 
@@ -229,6 +238,23 @@ class _Scoring:
     def _solved_rests(self, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
         """Return the rests of which a model solved every sample."""
         return [(a, b) for a, b in self._rests if good[a:b].all()]
+
+
+def _best_moving(models: Mapping[str, ModelResult]) -> ModelResult | None:
+    """Return the most accurate model of motion that solved every sample, or None."""
+    solved = [m for m in models.values() if m.scores is not None and m.moves and not m.failures]
+    return min(solved, key=lambda m: m.rmse_with_failures, default=None)
+
+
+def _effects(
+    recording: Recording, robot: Robot, measured: Pose, model: ModelResult
+) -> ResidualEffects | None:
+    """Return the effects that the error of a model looks like, or None where none can be told."""
+    assert measured.time is not None and model.pose is not None
+    try:
+        return residual_effects(recording, robot, measured.time, measured, model.pose)
+    except CarosacError:
+        return None
 
 
 def _first_motion(recording: Recording, robot: Robot) -> Belief | None:
