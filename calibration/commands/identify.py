@@ -143,7 +143,7 @@ def _print(result: Identification, effects: ResidualEffects | None) -> None:
     """Print what was found."""
     print_parameters(result.estimate)
     print()
-    left = [] if effects is None else [effects.sentence()]
+    left = [] if effects is None else [effects.sentence("the identified robot")]
     print_sentences([*result.sentences(), *left, *result.observability.sentences()])
 
 

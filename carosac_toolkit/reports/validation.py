@@ -35,8 +35,8 @@ from carosac_toolkit.validation.tables import (
 
 EFFECTS_TEXT = (
     "<p>Shares of the mean squared error, turns taken at the lever arm of the platform. The error "
-    "is regressed on what each effect does to the simulation; a share is what the effect explains of "
-    "stretches that the regression did not see, as a mean over all orders in which effects are "
+    "is regressed on what each effect does to the simulation. A share is what the effect explains "
+    "of stretches that the regression did not see, as a mean over all orders in which effects are "
     "added (Shapley value). Effects that resemble each other, such as tilt, centre of mass and "
     "length offsets, divide what they explain in common.</p>"
 )

@@ -220,4 +220,4 @@ def _sag(best: ModelResult) -> Iterator[str]:
 def _effects(result: ValidationResult) -> Iterator[str]:
     """Name the effects that the error of the best model of motion looks like."""
     if result.effects is not None:
-        yield f"{result.effects_model}: {result.effects.sentence()}"
+        yield result.effects.sentence(result.effects_model)

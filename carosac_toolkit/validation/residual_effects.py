@@ -66,15 +66,20 @@ class ResidualEffects:
             "noise_m": self.noise,
         }
 
-    def sentence(self) -> str:
-        """Name the effects with a share worth a word, largest first."""
+    def sentence(self, whose: str) -> str:
+        """Name the effects with a share worth a word, largest first.
+
+        Args:
+            whose: Model or robot whose error it is.
+        """
+        shares = {**self.shares, "none of these effects": self.other}
         named = [
-            f"{name} {share:.0%}" for name, share in self.shares.items() if share >= NAMED_SHARE_MIN
+            f"{name} {share:.0%}" for name, share in shares.items() if share >= NAMED_SHARE_MIN
         ]
-        rest = f"{self.other:.0%} look like none of these effects"
-        looks = f"the share of each effect is: {', '.join(named)}; {rest}" if named else rest
-        size = f"{self.rms * 1e3:.1f} mm RMS, turns included"
-        return f"Of the squared error that is left ({size}), {looks}."
+        return (
+            f"What the error of {whose} looks like, as shares of its square "
+            f"({self.rms * 1e3:.1f} mm RMS, turns included): {', '.join(named)}."
+        )
 
 
 def residual_effects(
