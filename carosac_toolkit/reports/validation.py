@@ -36,9 +36,9 @@ from carosac_toolkit.validation.tables import (
 EFFECTS_TEXT = (
     "<p>Shares of the mean squared error, turns taken at the lever arm of the platform. The error "
     "is regressed on what each effect does to the simulation. A share is what the effect explains "
-    "of stretches that the regression did not see, as a mean over all orders in which effects are "
-    "added (Shapley value). Effects that resemble each other, such as tilt, centre of mass and "
-    "length offsets, divide what they explain in common.</p>"
+    "of stretches that the regression did not see, beyond the effects that explain more. Effects "
+    "resemble each other, such as tilt, centre of mass and length offsets: what several of them "
+    "could explain counts for the one that explains most.</p>"
 )
 SETTINGS_FILE = "report_settings.json"
 VALIDATION_CAPTIONS = {

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.loop.values import Imu
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
@@ -26,7 +25,13 @@ from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import slope
-from carosac_toolkit.validation.time_shift import Signal, TimeShift, UnknownShift, find_shift
+from carosac_toolkit.validation.time_shift import (
+    Signal,
+    TimeShift,
+    UnknownShift,
+    binned,
+    find_shift,
+)
 
 ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu")
 PLAUSIBLE_DELAY_S = 0.1  # [s]: a sensor may be late by as much
@@ -195,7 +200,10 @@ class _Comparisons:
             return find_shift(self._measured(channel), self._length_rates())
         if channel == "tension":
             return find_shift(self._measured(channel), self._tensions(), scaling="each")
-        return find_shift(_binned(self._recording.imu), self._inertial(), scaling="mixed")
+        imu = self._recording.imu
+        assert imu is not None
+        samples = Signal(time=imu.time, value=np.hstack([imu.angular_rate, imu.specific_force]))
+        return find_shift(binned(samples, IMU_BIN_S), self._inertial(), scaling="mixed")
 
     def _measured(self, channel: str) -> Signal:
         stamped = getattr(self._recording, channel)
@@ -275,15 +283,3 @@ class _Comparisons:
         force[:, 2] += self._robot.gravity
         in_platform = (np.einsum("kji,kj->ki", rotation, value) for value in (twist[:, 3:], force))
         return Signal(time=time, value=np.hstack(list(in_platform)))
-
-
-def _binned(imu: Imu | None) -> Signal:
-    """Return inertial samples, averaged over short bins, angular rates first, (K, 6)."""
-    assert imu is not None
-    value = np.hstack([imu.angular_rate, imu.specific_force])
-    starts = np.flatnonzero(np.diff((imu.time - imu.time[0]) // IMU_BIN_S, prepend=-1.0))
-    counts = np.diff(np.append(starts, len(imu.time)))
-    return Signal(
-        time=np.add.reduceat(imu.time, starts) / counts,
-        value=np.add.reduceat(value, starts, axis=0) / counts[:, None],
-    )

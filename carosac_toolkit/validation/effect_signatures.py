@@ -23,12 +23,13 @@ from carosac_toolkit.physics.motion.winch import lagging_lengths
 from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
 from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.physics.scales import Scales
-from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.fleet_motion import fleet_motion
+from carosac_toolkit.validation.time_shift import Signal, binned
 
 GRID_S = 0.1  # [s]: lengths go straight over no longer time
+LENGTH_BIN_S = 0.05  # [s] over which noise of the lengths is averaged
 TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
 STEP_SHARE = 0.25  # of a prior sigma, with which an effect is simulated
 MODE_SAMPLES_MAX = 300  # poses of rest at which free modes are solved for, evenly spread
@@ -108,7 +109,10 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
     """
     when = np.unique(np.concatenate([np.arange(time[0], time[-1], GRID_S), time]))
     when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
-    length = LengthPath(recording).at(when - (robot.length_delay or 0.0))
+    samples = Signal(time=recording.time, value=recording.unstrained_length)
+    few = binned(samples, LENGTH_BIN_S)
+    inside = np.clip(when - (robot.length_delay or 0.0), few.time[0], few.time[-1])
+    length = CubicSpline(few.time, few.value)(inside)
     if not (length > 0.0).all():
         raise CarosacError("not all lengths are positive")
     modes = _FreeModes(robot, when, length)

@@ -21,7 +21,7 @@ from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-FLEET_TIME_STEP = Scaled(1.0 / 35.0, "s")  # at most
+FLEET_TIME_STEP = Scaled(0.01, "s")  # at most
 _DEVICE = "cpu"
 
 

@@ -2,18 +2,17 @@
 
 The error is regressed on the signatures of the effects (`effect_signatures`), with priors on their
 sizes. What an effect explains is judged on stretches of the run that the regression did not see.
-Signatures resemble each other, so the share of an effect is its Shapley value: the mean over all
-orders in which effects are added of what it explains beyond those before it (Lindeman, Merenda and
-Gold, *Introduction to Bivariate and Multivariate Analysis*, 1980). Jitter of the stamps and noise
-of the sensors are white, and have a share by their variance.
+Signatures resemble each other, so shares depend on an order: first comes the effect that explains
+most alone, then the one that adds most to it, and so on. What two effects could both explain thus
+counts for the one that explains more. Jitter of the stamps and noise of the sensors are white, and
+have a share by their variance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
-from math import factorial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -126,7 +125,7 @@ def _thinned(time: Array) -> NDArray[np.intp]:
     """Return the rows of the samples that are used."""
     bins = np.floor((time - time[0]) * RATE_MAX_HZ + 1e-6)
     first = np.flatnonzero(np.diff(bins, prepend=-1.0) > 0.0)
-    return first[time[first] - time[0] <= DURATION_MAX_S]
+    return np.asarray(first[time[first] - time[0] <= DURATION_MAX_S])
 
 
 def _result(rms: float, shares: dict[str, float], jitter: float, noise: float) -> ResidualEffects:
@@ -150,23 +149,18 @@ def _error(measured: Pose, modelled: Pose, lever: float) -> Array:
 
 
 def _shares(regression: _Regression) -> dict[str, float]:
-    """Return the Shapley values of the shares that the effects of a regression explain."""
-    names = regression.names
-    explained = {
-        some: regression.explained(some)
-        for size in range(len(names) + 1)
-        for some in combinations(names, size)
-    }
-    shares = {}
-    for name in names:
-        others = tuple(other for other in names if other != name)
-        value = 0.0
-        for size in range(len(others) + 1):
-            weight = factorial(size) * factorial(len(others) - size) / factorial(len(names))
-            for some in combinations(others, size):
-                with_it = tuple(other for other in names if other in some or other == name)
-                value += weight * (explained[with_it] - explained[some])
-        shares[name] = value
+    """Return what each effect of a regression adds to those that explain more."""
+    shares = dict.fromkeys(regression.names, 0.0)
+    chosen: tuple[str, ...] = ()
+    explained = 0.0
+    while len(chosen) < len(shares):
+        others = [name for name in regression.names if name not in chosen]
+        gains = {name: regression.explained((*chosen, name)) - explained for name in others}
+        best = max(gains, key=lambda name: gains[name])
+        if gains[best] <= 0.0:
+            break
+        shares[best], chosen = gains[best], (*chosen, best)
+        explained += gains[best]
     return shares
 
 
@@ -192,24 +186,27 @@ class _Regression:
             [np.einsum("kic,ki->c", b, e) for b, e in zip(basis, errors, strict=True)]
         )
         self._sizes = np.array([(e**2).sum() for e in errors])
-        noise = self._left_variance()
-        self._ridge = noise * count / _independent(error)
 
-    def _left_variance(self) -> float:
-        """Return the variance of one value that all effects leave, without priors."""
-        square, product = self._squares.sum(axis=0), self._products.sum(axis=0)
-        weights = np.linalg.lstsq(square, product, rcond=1e-10)[0]
-        left = self._sizes.sum() - product @ weights
-        return max(float(left), 1e-6 * float(self._sizes.sum())) / self._error.size
+    def _ridge(self, rows: NDArray[np.intp]) -> float:
+        """Return the variance of what some columns leave, errors that last counting for less.
+
+        That is what a prior sigma of 1 weighs against in a least squares fit.
+        """
+        square, product = self._squares.sum(axis=0)[np.ix_(rows, rows)], self._products.sum(axis=0)
+        weights = np.linalg.lstsq(square, product[rows], rcond=1e-12)[0]
+        left = self._error - self._basis[:, :, rows] @ weights
+        variance = max(float((left**2).mean()), 1e-6 * float((self._error**2).mean()))
+        return variance * len(left) / _independent(left)
 
     def explained(self, names: Sequence[str]) -> float:
         """Return the share of the square that effects explain where they were not fitted."""
-        if not names or not self._sizes.sum() > 0.0:
+        if not self._sizes.sum() > 0.0:
             return 0.0
         rows = self._rows(names)
+        ridge = self._ridge(rows)
         left = 0.0
         for k in range(len(self._stretches)):
-            weights = self._weights(rows, without=k)
+            weights = self._weights(rows, ridge, without=k)
             square = self._squares[k][np.ix_(rows, rows)]
             left += self._sizes[k] - 2.0 * weights @ self._products[k, rows]
             left += weights @ square @ weights
@@ -218,8 +215,10 @@ class _Regression:
     def left(self, names: Sequence[str]) -> Array:
         """Return what effects leave where they were not fitted, (K, 6)."""
         rows = self._rows(names)
+        ridge = self._ridge(rows)
         parts = [
-            self._error[stretch] - self._basis[stretch][:, :, rows] @ self._weights(rows, without=k)
+            self._error[stretch]
+            - self._basis[stretch][:, :, rows] @ self._weights(rows, ridge, without=k)
             for k, stretch in enumerate(self._stretches)
         ]
         return np.concatenate(parts)
@@ -227,11 +226,11 @@ class _Regression:
     def _rows(self, names: Sequence[str]) -> NDArray[np.intp]:
         return np.concatenate([self._where[name] for name in names])
 
-    def _weights(self, rows: NDArray[np.intp], *, without: int) -> Array:
+    def _weights(self, rows: NDArray[np.intp], ridge: float, *, without: int) -> Array:
         """Return the sizes of effects in prior sigmas, from all stretches but one."""
         square = (self._squares.sum(axis=0) - self._squares[without])[np.ix_(rows, rows)]
         product = (self._products.sum(axis=0) - self._products[without])[rows]
-        return np.asarray(np.linalg.solve(square + self._ridge * np.eye(len(rows)), product))
+        return np.asarray(np.linalg.solve(square + ridge * np.eye(len(rows)), product))
 
 
 def _independent(error: Array) -> float:

@@ -54,6 +54,16 @@ class Signal:
     value: Array
 
 
+def binned(signal: Signal, width: float) -> Signal:
+    """Return the means of stamps and values over bins of time [s] that hold samples."""
+    starts = np.flatnonzero(np.diff((signal.time - signal.time[0]) // width, prepend=-1.0))
+    counts = np.diff(np.append(starts, len(signal.time)))
+    return Signal(
+        time=np.add.reduceat(signal.time, starts) / counts,
+        value=np.add.reduceat(signal.value, starts, axis=0) / counts[:, None],
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class TimeShift:
     """Shift between two clocks.
