@@ -27,7 +27,8 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import channel_clocks
 from carosac_toolkit.validation.effect_signatures import effect_signatures
 
-SAMPLES_MIN = 40  # fewer tell no effects apart
+SAMPLES_MIN = 60  # fewer tell no effects apart
+DURATION_MIN_S = 15.0  # [s]: a shorter run shows too few swings
 RATE_MAX_HZ = 20.0  # [Hz] of the samples that are used
 DURATION_MAX_S = 150.0  # [s] of the run that is used, from its start
 STRETCHES = 10  # of the run: each is predicted from the others
@@ -98,7 +99,7 @@ def residual_effects(
     """
     some = _thinned(time)
     time = time[some]
-    if len(time) < SAMPLES_MIN:
+    if len(time) < SAMPLES_MIN or time[-1] - time[0] < DURATION_MIN_S:
         raise CarosacError(f"{len(time)} samples are too few to tell effects apart")
     measured, modelled = (
         Pose(position=pose.position[some], rotation=pose.rotation[some])
