@@ -16,7 +16,7 @@ carosac import recording run.csv --align --robot scampi --output aligned.parquet
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -135,9 +135,10 @@ def _align_file(options: Options) -> CommandResult:
         allowed = "nothing with a recording file: its channels are known"
         raise InvalidField(f"--{topics[0]}", "topics", allowed)
     path = Path(options.bag[0])
-    if options.output is not None and options.output.resolve() == path.resolve():
-        raise InvalidField("--output", str(path), "another file than the recording itself")
     recording, clocks = _aligned(load_recording(path), path, options)
+    if recording.metadata.robot is None:
+        metadata = replace(recording.metadata, robot=options.robot)
+        recording = replace(recording, metadata=metadata)
     _save(recording, options.output)
     return CommandResult({**clocks, "metadata": recording.metadata.to_dict()})
 
