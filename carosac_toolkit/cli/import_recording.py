@@ -90,7 +90,7 @@ class Options(CommonOptions):
     """Folder with PACKAGE/msg/NAME.msg, for a bag that does not define its message types."""
     robot: str | None = None
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
-    align: bool = False
+    align: tyro.conf.FlagCreatePairsOff[bool] = False
     """Shift the stamps of the other channels to the clock of the lengths; it needs --robot, or a
     recording that names its robot. Refused where a channel does not tell its offset."""
     align_channels: tuple[Literal["poses", "length_rate", "tension", "imu"], ...] = ()

@@ -31,6 +31,7 @@ BLOCKS_MIN = 4  # of which a sigma is estimated
 RIVAL_EVIDENCE_MIN = 10.0  # logarithm of the likelihood ratio of the best shift and its rival
 EXPLAINED_SHARE_MIN = 0.3  # of the variance: a prediction that explains less shows no shift
 SHIFT_SIGMA_MAX_S = 0.1  # [s]: a shift that is known no better is of no use
+COST_MAX = 1e6  # of a shift at which too few samples overlap
 SLOW_SHARE = 0.3  # of the samples, the slowest, that show the noise of the sensor alone
 SECOND_DIFFERENCE_VARIANCE = 1.5  # of white noise, less the mean of its two neighbours
 FITTED_NUMBERS = {"none": 1, "each": 2, "mixed": 4}  # per value: a constant, and its scales
@@ -167,10 +168,12 @@ def find_shift(measured: Signal, predicted: Signal, *, scaling: Scaling = "none"
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         raise UnknownShift("too few of its samples were recorded at the same time as lengths")
-    bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    if not np.isfinite(costs[max(best - 1, 0) : best + 2]).all() or best in (0, len(grid) - 1):
+        raise UnknownShift(f"the best offset lies at the end of the search, {grid[best]:.1f} s")
     search = minimize_scalar(
-        comparison.cost, bounds=bounds, method="bounded", options={"xatol": 1e-6}
-    )
+        lambda shift: min(comparison.cost(shift), COST_MAX),
+        bounds=(grid[best - 1], grid[best + 1]), method="bounded", options={"xatol": 1e-6},
+    )  # fmt: skip
     shift, cost = float(search.x), float(search.fun)
     explained = 1.0 - cost
     if explained < EXPLAINED_SHARE_MIN:
@@ -197,10 +200,7 @@ def _thinned(signal: Signal, most: int) -> Signal:
 
 
 def _refuse_rivals(time: Array, grid: Array, costs: Array, shift: float, cost: float) -> None:
-    """Refuse a shift beside which another one fits as well, and one at the end of the search."""
-    edge = grid[np.isfinite(costs)]
-    if shift < edge[0] + SHIFT_STEP_S or shift > edge[-1] - SHIFT_STEP_S:
-        raise UnknownShift(f"the best offset lies at the end of the search, {shift:.1f} s")
+    """Refuse a shift beside which another one fits as well."""
     inner = np.flatnonzero(
         np.isfinite(costs[1:-1]) & (costs[1:-1] <= costs[:-2]) & (costs[1:-1] <= costs[2:])
     )
