@@ -22,6 +22,7 @@ from typing import Annotated
 
 import tyro
 
+from calibration.identification.effects import remaining_effects
 from calibration.identification.procedure import identify
 from calibration.identification.report import report_content
 from calibration.identification.result import Identification
@@ -41,6 +42,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.residual_effects import ResidualEffects
 
 Range = tuple[int, int]
 COMMAND_OPTIONS = ("recording", "robot", "train", "test", "report", "json", "seed")  # as resolved
@@ -79,8 +81,9 @@ def run(options: Options) -> CommandResult:
     result = identify(
         recording, robot_source.robot, train=train, test=test, report=_Steps(robot_source.robot)
     )
+    effects = remaining_effects(recording, result)
     print()
-    _print(result)
+    _print(result, effects)
     command = [
         "carosac", "identify", options.recording, "--robot", robot_source.name,
         "--train", f"{train[0]}:{train[1]}",
@@ -91,7 +94,7 @@ def run(options: Options) -> CommandResult:
         folder,
         f"Identification of {result.robot.name}",
         result,
-        report_content(result, recording),
+        report_content(result, recording, effects),
         provenance=_provenance(options, recording, robot_source),
         command=command,
     )
@@ -108,7 +111,12 @@ def run(options: Options) -> CommandResult:
     sys.stdout.flush()
     for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)
-    data = {"recording": options.recording, "robot": robot_source.name, **result.data()}
+    data = {
+        "recording": options.recording,
+        "robot": robot_source.name,
+        **result.data(),
+        "effects": None if effects is None else effects.data(),
+    }
     return CommandResult(data, status=1 if result.warnings else 0)
 
 
@@ -131,11 +139,12 @@ class _Steps:
         )
 
 
-def _print(result: Identification) -> None:
+def _print(result: Identification, effects: ResidualEffects | None) -> None:
     """Print what was found."""
     print_parameters(result.estimate)
     print()
-    print_sentences([*result.sentences(), *result.observability.sentences()])
+    left = [] if effects is None else [effects.sentence("the identified robot")]
+    print_sentences([*result.sentences(), *left, *result.observability.sentences()])
 
 
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:

@@ -34,7 +34,7 @@ from carosac_toolkit.validation.phases import (
     anchors_at,
     find_phases,
 )
-from carosac_toolkit.validation.plausibility import find_mix_ups
+from carosac_toolkit.validation.plausibility import find_contradictions
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
@@ -162,9 +162,12 @@ def _motion(
 
 
 def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
-    """Refuse cables in another order, and other units."""
+    """Refuse clocks that are apart, cables in another order, other units and other frames."""
     pose = Pose(position=poses.position, rotation=poses.rotation)
-    mix_ups = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
+    mix_ups = find_contradictions(
+        material, robot, material.unstrained_length[poses.index], pose,
+        zeros_known=False, channels=("poses",),
+    )  # fmt: skip
     if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
         raise InvalidField("recording", " ".join(mix_ups), allowed)

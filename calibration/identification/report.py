@@ -11,6 +11,9 @@ from calibration.report import ReportContent, observability_html, parameters_htm
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import table
+from carosac_toolkit.reports.validation import EFFECTS_TEXT
+from carosac_toolkit.validation.residual_effects import ResidualEffects
+from carosac_toolkit.validation.tables import EFFECT_HEADER, effect_rows
 
 SCORE_HEADER = (
     "samples", "robot", "x [mm]", "y [mm]", "z [mm]", "norm [mm]", "largest [mm]", "angle [deg]",
@@ -34,7 +37,9 @@ def score_rows(result: Identification) -> Rows:
     return rows
 
 
-def report_content(result: Identification, recording: Recording) -> ReportContent:
+def report_content(
+    result: Identification, recording: Recording, effects: ResidualEffects | None
+) -> ReportContent:
     """Return tables and pictures of the report on an identification from a recording."""
     images = {
         "motion": (
@@ -55,5 +60,14 @@ def report_content(result: Identification, recording: Recording) -> ReportConten
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
         "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)
     )
-    parts = [scores, parameters_html(result.estimate), observability_html(result.observability)]
+    left = ""
+    if effects is not None:
+        shares = table(EFFECT_HEADER, effect_rows(effects), left=1)
+        left = f"<h2>What the remaining error looks like</h2>{EFFECTS_TEXT}{shares}"
+    parts = [
+        scores,
+        left,
+        parameters_html(result.estimate),
+        observability_html(result.observability),
+    ]
     return ReportContent(parts=parts, images=images)

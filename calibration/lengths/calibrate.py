@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.estimate import ParameterEstimate
-from calibration.lengths.checks import check_observable, check_order, radial_sentences
+from calibration.lengths.checks import (
+    check_clock_and_frames,
+    check_observable,
+    check_order,
+    radial_sentences,
+)
 from calibration.lengths.fit import ROUNDS_MAX, LengthProblem, Reweighting, fit
 from calibration.lengths.pose_path import PosePath
 from calibration.lengths.result import Gravity, LengthCalibration
@@ -72,6 +77,7 @@ def calibrate_lengths(
         unknowns, known, PosePath(recording), recording.time[chosen],
         recording.unstrained_length[chosen],
     )  # fmt: skip
+    check_clock_and_frames(recording, robot)
     problem.freeze(unknowns.prior.mean)
     _check_samples(problem, robot)
     placed = problem.placed(unknowns.robot_at(unknowns.prior.mean))

@@ -11,8 +11,12 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.clocks import clock_warnings
 from carosac_toolkit.validation.plausibility import find_mix_ups
+from carosac_toolkit.validation.pose_frames import find_frames
 
 SWAP_MISFIT_SHARE = (
     0.5  # a mix-up is named where putting it right leaves less than this of the misfit
@@ -23,6 +27,7 @@ LEARNT_SIGMA_SHARE = (
     0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
 )
 EXIT_SIGMA_MAX_M = 0.02  # [m]: exit points that are known better than this need not be learnt
+DELAY_MAX_S = 0.5  # [s]: a longer one is no delay of a sensor, but another clock
 POSE_EXTENT_SHARE = 0.02  # of the size of the frame: extent of the poses that counts as none
 
 
@@ -45,9 +50,41 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
     mix_ups = _changes(robot, reading, pose)
     if not mix_ups and not relative and robot.length_offset is None:
         mix_ups = list(find_mix_ups(robot, reading, pose, zeros_known=False))
-    if mix_ups:
+    _refuse(mix_ups)
+
+
+def check_clock_and_frames(recording: Recording, robot: Robot) -> None:
+    """Refuse poses whose clock is apart from that of the readings, and poses in turned frames.
+
+    Args:
+        recording: As it was recorded.
+        robot: Before the calibration.
+
+    Raises:
+        MixUp: Names the clock or the frame.
+    """
+    material = calibrated(recording, robot)
+    _refuse(list(clock_warnings(material, robot, ("poses",), delay_max=DELAY_MAX_S)))
+    if material.metadata.length_kind != "unstrained":
+        return
+    measured = material.pose_at(material.time)
+    pose = Pose(
+        position=measured.pose.position[measured.valid],
+        rotation=measured.pose.rotation[measured.valid],
+    )
+    length = material.unstrained_length[measured.valid]
+    if find_mix_ups(robot, length, pose, zeros_known=False):
+        return  # `check_order` names these
+    frames = find_frames(robot, length, pose, zeros_known=False)
+    if frames is not None and frames.turned:
+        _refuse(list(frames.sentences(robot)))
+
+
+def _refuse(sentences: list[str]) -> None:
+    """Refuse a recording that contradicts the robot."""
+    if sentences:
         advice = "put that right in the recording or in the robot file, then calibrate again"
-        raise MixUp("\n  ".join(["recording and robot do not fit:", *mix_ups, advice]))
+        raise MixUp("\n  ".join(["recording and robot do not fit:", *sentences, advice]))
 
 
 def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:

@@ -1,4 +1,4 @@
-"""Make a recording from a bag of ROS 1 or 2 or an MCAP file.
+"""Make a recording from a bag of ROS 1 or 2 or an MCAP file, or align the clocks of one.
 
 With a bag alone it lists the topics and says which may hold what. Each channel keeps its own time
 stamps, those of message headers where there are any; nothing is interpolated.
@@ -6,14 +6,21 @@ stamps, those of message headers where there are any; nothing is interpolated.
 carosac import recording run.bag
 
 carosac import recording run.bag --lengths /joint_states --pose /mocap/pose --output run.parquet
+
+With --align, the stamps of all other channels are shifted to the clock of the cable lengths. How
+far they are apart is estimated from what the lengths predict of each channel, which takes the
+robot. A recording file is aligned in the same way:
+
+carosac import recording run.csv --align --robot scampi --output aligned.parquet
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
 from carosac_toolkit.base.errors import InvalidField
@@ -29,10 +36,18 @@ from carosac_toolkit.interchange.bag_channels import (
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
-from carosac_toolkit.recordings.files import save_recording
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording, save_recording
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.recordings.robot import find_robot
+from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, align_clocks, channel_clocks
+from carosac_toolkit.validation.time_shift import TimeShift
 
 _PER_CABLE = ("lengths", "tension", "command", "rates", "swivel")
 _OTHER_CHANNELS = (*_PER_CABLE[1:], "pose", "imu", "attitude", "inclination", "output")
+CLOCK_HEADER = (
+    "channel", "offset [ms]", "sigma [ms]", "explained", "jitter [ms]", "intervals [ms]",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +55,8 @@ class Options(CommonOptions):
     """Options of ``carosac import recording``."""
 
     bag: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="BAG ...")]
-    """A .bag of ROS 1 (or its parts), the folder of a ROS 2 bag, or a single .mcap or .db3."""
+    """A .bag of ROS 1 (or its parts), the folder of a ROS 2 bag, or a single .mcap or .db3; to
+    align the clocks of a recording, its .parquet, .csv or .mat file."""
     output: OutputFile = None
     """Write the recording here (.parquet or .csv)."""
     lengths: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
@@ -84,6 +100,11 @@ class Options(CommonOptions):
     """Folder with PACKAGE/msg/NAME.msg, for a bag that does not define its message types."""
     robot: str | None = None
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
+    align: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Shift the stamps of the other channels to the clock of the lengths; it needs --robot, or a
+    recording that names its robot. Refused where a channel does not tell its offset."""
+    align_channels: tuple[Literal["poses", "length_rate", "tension", "imu"], ...] = ()
+    """Channels to align; by default all that there are."""
 
 
 def run(options: Options) -> CommandResult:
@@ -91,6 +112,10 @@ def run(options: Options) -> CommandResult:
     check_writable("--output", options.output, (".parquet", ".csv"))
     if not options.bag:
         raise InvalidField("BAG", "nothing", "a bag; see 'carosac import recording --help'")
+    if options.align_channels and not options.align:
+        raise InvalidField("--align-channels", "channels", "nothing without --align")
+    if _is_recording(options.bag):
+        return _align_file(options)
     definitions = Path(options.definitions) if options.definitions else None
     with open_bag([Path(bag) for bag in options.bag], definitions=definitions) as bag:
         asked = [name for name in _OTHER_CHANNELS if getattr(options, name)]
@@ -98,10 +123,73 @@ def run(options: Options) -> CommandResult:
             return _list(bag)
         imported = read_bag(bag, _topics(options))
     _say(imported)
-    if options.output is not None:
-        save_recording(imported.recording, options.output)
-        print(f"\nrecording: {options.output}; next: carosac validate {options.output}")
-    return CommandResult(_data(imported))
+    recording, clocks = imported.recording, dict[str, Any]()
+    if options.align:
+        recording, clocks = _aligned(recording, Path(options.bag[0]), options)
+    _save(recording, options.output)
+    return CommandResult(_data(imported, recording) | clocks)
+
+
+def _is_recording(paths: tuple[str, ...]) -> bool:
+    """Tell whether the only input is a recording file rather than a bag."""
+    return len(paths) == 1 and Path(paths[0]).suffix.lower() in READERS_BY_SUFFIX
+
+
+def _align_file(options: Options) -> CommandResult:
+    """Align the clocks of a recording file."""
+    if not options.align:
+        allowed = "a bag, or --align with a recording file"
+        raise InvalidField("BAG", repr(options.bag[0]), allowed)
+    topics = [name for name in ("lengths", *_OTHER_CHANNELS[:-1]) if getattr(options, name)]
+    if topics:
+        allowed = "nothing with a recording file: its channels are known"
+        raise InvalidField(f"--{topics[0]}", "topics", allowed)
+    path = Path(options.bag[0])
+    recording, clocks = _aligned(load_recording(path), path, options)
+    if recording.metadata.robot is None:
+        metadata = replace(recording.metadata, robot=options.robot)
+        recording = replace(recording, metadata=metadata)
+    _save(recording, options.output)
+    return CommandResult({**clocks, "metadata": recording.metadata.to_dict()})
+
+
+def _aligned(
+    recording: Recording, path: Path, options: Options
+) -> tuple[Recording, dict[str, Any]]:
+    """Align clocks and print by how much; return the numbers too."""
+    robot = find_robot(recording, path, options.robot).robot
+    recording.require_cables(robot)
+    channels = options.align_channels or ALIGNED_CHANNELS
+    for name in options.align_channels:
+        if name not in recording.channel_times:
+            allowed = f"of {[c for c in ALIGNED_CHANNELS if c in recording.channel_times]}"
+            raise InvalidField("--align-channels", name, allowed)
+    clocks = channel_clocks(calibrated(recording, robot), robot, channels)
+    aligned = align_clocks(recording, clocks)
+    rows = [
+        (clock.channel, f"{1e3 * clock.shift.seconds:+.2f}", f"{1e3 * clock.shift.sigma:.2f}",
+         f"{clock.shift.explained:.2%}",
+         _jitter(clock.shift),
+         f"{1e3 * clock.interval_deviation:.2f}")
+        for clock in clocks if clock.shift is not None
+    ]  # fmt: skip
+    print(format_table(CLOCK_HEADER, rows))
+    print("\nOffset: of the stamps against the clock of the lengths; it is removed from them.")
+    return aligned, {"clocks": {clock.channel: clock.data() for clock in clocks}}
+
+
+def _jitter(shift: TimeShift) -> str:
+    """Format the jitter of single stamps [ms]."""
+    if not np.isfinite(shift.jitter):
+        return ""
+    return f"{1e3 * shift.jitter:.2f} +-{1e3 * shift.jitter_sigma:.2f}"
+
+
+def _save(recording: Recording, output: Path | None) -> None:
+    """Write the recording where one is asked for."""
+    if output is not None:
+        save_recording(recording, output)
+        print(f"\nrecording: {output}; next: carosac validate {output}")
 
 
 def _topics(options: Options) -> Topics:
@@ -204,9 +292,8 @@ def _say(imported: Imported) -> None:
           f"{imported.recording.metadata.description}")  # fmt: skip
 
 
-def _data(imported: Imported) -> dict[str, Any]:
+def _data(imported: Imported, recording: Recording) -> dict[str, Any]:
     """Return the numbers that ``--json`` writes."""
-    recording = imported.recording
     return {
         "duration_s": recording.duration,
         "cables": recording.n,

@@ -55,6 +55,9 @@ class Options(CommonOptions):
     """First sample to score; models still run from sample 0."""
     stop: int | None = None
     """One past the last sample to score; by default all are scored."""
+    no_effects: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Leave out which physical effects the error of the best model that moves looks like, each with
+    its share: this simulates the robot with each effect, which takes some seconds."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for pictures and report; an earlier report in it is replaced. By default a folder in
     carosac-results/validate named after recording, robot and range, numbered if it holds another
@@ -79,7 +82,7 @@ def run(options: Options) -> CommandResult:
     check_folder("--output", folder)
     result = validate(
         recording, robot_choice.robot, options.models,
-        start=options.start, stop=options.stop, seed=options.seed,
+        start=options.start, stop=options.stop, seed=options.seed, effects=not options.no_effects,
     )  # fmt: skip
     sentences = conclusions(result)
     _print(context, recording, result, sentences)
@@ -124,7 +127,7 @@ def _words(options: Options, robot: str) -> list[str]:
         "carosac", "validate", options.recording, "--robot", robot,
         "--models", *options.models, "--start", str(options.start),
         *(["--stop", str(options.stop)] if options.stop is not None else []),
-        "--seed", str(options.seed),
+        "--seed", str(options.seed), *(["--no-effects"] if options.no_effects else []),
     ]  # fmt: skip
 
 

@@ -29,6 +29,7 @@ class RecordingMetadata:
         quaternion_order: Always ``wxyz``.
         length_kind: ``unstrained``: material from the datum to the anchor point [m];
             ``relative``: the same up to an unknown constant per cable.
+        clock_offsets: Offsets of clocks that were removed from the stamps, in words; empty: none.
     """
 
     robot: str | None = None
@@ -40,6 +41,7 @@ class RecordingMetadata:
     frames: str = FRAMES_TEXT
     quaternion_order: str = "wxyz"
     length_kind: str = "unstrained"
+    clock_offsets: str = ""
 
     def __post_init__(self) -> None:
         """Refuse anything but text, and unknown conventions."""

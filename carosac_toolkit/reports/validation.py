@@ -25,12 +25,21 @@ from carosac_toolkit.validation.result import ValidationResult
 from carosac_toolkit.validation.saved import SAMPLES_FILE, samples_bytes
 from carosac_toolkit.validation.tables import (
     CAUSE_HEADER,
+    EFFECT_HEADER,
     PART_HEADER,
     cause_rows,
+    effect_rows,
     part_rows,
     part_units,
 )
 
+EFFECTS_TEXT = (
+    "<p>Shares of the mean squared error, turns taken at the lever arm of the platform. The error "
+    "is regressed on what each effect does to the simulation. A share is what the effect explains "
+    "of stretches that the regression did not see, beyond the effects that explain more. Effects "
+    "resemble each other, such as tilt, centre of mass and length offsets: what several of them "
+    "could explain counts for the one that explains most.</p>"
+)
 SETTINGS_FILE = "report_settings.json"
 VALIDATION_CAPTIONS = {
     "paths": "Path of the platform origin: measured and modelled, with the errors enlarged.",
@@ -136,12 +145,23 @@ def _html(
         "the frequency that fits the error with resting winches best, on the axis that swings "
         "most.</p>",
         table(CAUSE_HEADER, cause_rows(result), left=1),
+        *_effects(result),
         *pictures(images, VALIDATION_CAPTIONS),
         "<h2>Provenance</h2>",
         definitions({**_provenance(result, context), **made_with()}),
         repeat(context.words),
     ]
     return page(name, parts)
+
+
+def _effects(result: ValidationResult) -> list[str]:
+    """Return the section on the effects that the error looks like, where they are known."""
+    if result.effects is None:
+        return []
+    return [
+        f"<h2>What the error of {result.effects_model} looks like</h2>{EFFECTS_TEXT}",
+        table(EFFECT_HEADER, effect_rows(result.effects), left=1),
+    ]
 
 
 def _provenance(result: ValidationResult, context: Context) -> dict[str, str]:

@@ -48,6 +48,7 @@ def conclusions(result: ValidationResult) -> list[str]:
         *_delay(best),
         *_offset(best),
         *_sag(best),
+        *_effects(result),
     ]
 
 
@@ -230,3 +231,9 @@ def _sag(best: ModelResult) -> Iterator[str]:
         f"{say_length(best.stretch)} on average; the remaining length error is {say_length(left)}: "
         f"{verdict}."
     )
+
+
+def _effects(result: ValidationResult) -> Iterator[str]:
+    """Name the effects that the error of the best model of motion looks like."""
+    if result.effects is not None:
+        yield result.effects.sentence(result.effects_model)

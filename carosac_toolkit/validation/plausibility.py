@@ -7,7 +7,7 @@ wrong units, cables in another order and quaternions in another order differ by 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,6 +21,8 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, clock_warnings
+from carosac_toolkit.validation.pose_frames import find_frames
 from carosac_toolkit.validation.scores import rotation_angle
 
 Order = NDArray[np.intp]
@@ -38,6 +40,7 @@ EXIT_POINT_DISTANCE_MAX_M = 0.01  # [m] from the measured ones
 STATIC_MISFIT_MIN = (
     0.03  # of the distance: misfit from which lengths that hardly change tell an order
 )
+MISFIT_HINT = "the robot, and the frame of the poses"
 QUATERNION_ORDER_HINT = "The orientation fits if the quaternion is x y z w: the format is w x y z."
 
 
@@ -107,7 +110,49 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
         position=measured.pose.position[measured.valid],
         rotation=measured.pose.rotation[measured.valid],
     )
-    return find_mix_ups(robot, recording.unstrained_length[measured.valid], pose)
+    return find_contradictions(recording, robot, recording.unstrained_length[measured.valid], pose)
+
+
+def find_contradictions(
+    recording: Recording,
+    robot: Robot,
+    length: Array,
+    pose: Pose,
+    *,
+    zeros_known: bool = True,
+    channels: Sequence[str] = ALIGNED_CHANNELS,
+) -> tuple[str, ...]:
+    """List evidence that clocks are apart, or lengths and poses mixed up or in other frames.
+
+    Only the first kind that is found is named, as each of them hides the next.
+
+    Args:
+        recording: As calibrated, for its clocks.
+        robot: With as many cables, n.
+        length: Some of its lengths [m], shape (S, n), S >= 1.
+        pose: Measured at the same times.
+        zeros_known: See `find_mix_ups`.
+        channels: Whose clocks matter.
+
+    Returns:
+        Sentences; none where nothing contradicts the robot.
+    """
+    apart = tuple(clock_warnings(recording, robot, channels))
+    if apart:
+        return apart
+    mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
+    if recording.metadata.length_kind != "unstrained":
+        return mixed
+    found = find_frames(robot, length, pose, zeros_known=zeros_known)
+    frames = () if found is None else tuple(found.sentences(robot))
+    if mixed == (QUATERNION_ORDER_HINT,) and frames:  # half a turn about z looks alike
+        return (*mixed, f"Otherwise: {frames[-1]}")
+    return frames if _only_far(mixed) and frames else mixed
+
+
+def _only_far(sentences: tuple[str, ...]) -> bool:
+    """Return whether sentences name no more than lengths that are far from the distances."""
+    return all(MISFIT_HINT in sentence for sentence in sentences)
 
 
 def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
@@ -243,14 +288,14 @@ def _differences(trial: _MixUpTrial) -> Iterator[str]:
     if far.all():
         yield (
             f"Lengths are {plain(_median(ratio), 3)} times the distance at the measured poses: "
-            "check units and zero of the lengths, the robot, and the frame of the poses."
+            f"check units and zero of the lengths, {MISFIT_HINT}."
         )
         return
     if far.any():
         which = ", ".join(f"{i + 1} ({plain(each[i], 3)} times)" for i in np.flatnonzero(far))
         yield (
             f"Some lengths are far from the distance at the measured poses, others fit: {which}. "
-            "Check their encoders and exit points, the robot, and the frame of the poses."
+            f"Check their encoders and exit points, {MISFIT_HINT}."
         )
 
 

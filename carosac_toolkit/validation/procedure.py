@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
@@ -20,8 +20,9 @@ from carosac_toolkit.validation.another_robot import another_robot, cable_count_
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
-from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
+from carosac_toolkit.validation.plausibility import exit_point_distance, find_contradictions
 from carosac_toolkit.validation.pose_noise import measured_pose_noise
+from carosac_toolkit.validation.residual_effects import ResidualEffects, residual_effects
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import (
@@ -42,6 +43,7 @@ def validate(
     start: int = 0,
     stop: int | None = None,
     seed: int = 0,
+    effects: bool = False,
 ) -> ValidationResult:
     """Score models on a recording: open loop on its lengths, against its measured poses.
 
@@ -58,6 +60,8 @@ def validate(
         start: First sample to score.
         stop: One past the last; None: to the end.
         seed: Given to every model.
+        effects: True to tell which effects the error of the best model that moves looks like
+            (`carosac_toolkit.validation.residual_effects`), for a plausible recording.
 
     Returns:
         Scores and diagnostics per model.
@@ -89,6 +93,9 @@ def validate(
     speed = anchor_speed(robot, recording.time[index], measured.position, measured.rotation)
     first = first_motion(recording, robot)
     scoring = _Scoring(recording, robot, index, measured, resting, rests, first)
+    scored = {name: scoring.result(name, target, end, seed) for name, target in targets.items()}
+    warnings = (*other, *find_contradictions(recording, robot, lengths, measured))
+    moving = _best_moving(scored) if effects and not warnings else None
     return ValidationResult(
         robot=robot,
         start=start,
@@ -99,12 +106,14 @@ def validate(
         measured=measured,
         resting=resting,
         rests=rests,
-        models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
+        models=scored,
         starts_moving=first is not None,
         rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
-        warnings=(*other, *find_mix_ups(robot, lengths, measured)),
+        effects=None if moving is None else _effects(recording, robot, measured, moving),
+        effects_model="" if moving is None else moving.name,
+        warnings=warnings,
     )
 
 
@@ -253,6 +262,23 @@ class _Scoring:
 def _rows(pose: Pose, which: NDArray[np.bool_]) -> Pose:
     """Return some of the poses."""
     return Pose(position=pose.position[which], rotation=pose.rotation[which])
+
+
+def _best_moving(models: Mapping[str, ModelResult]) -> ModelResult | None:
+    """Return the most accurate model of motion that solved every sample, or None."""
+    solved = [m for m in models.values() if m.scores is not None and m.moves and not m.failures]
+    return min(solved, key=lambda m: m.rmse_with_failures, default=None)
+
+
+def _effects(
+    recording: Recording, robot: Robot, measured: Pose, model: ModelResult
+) -> ResidualEffects | None:
+    """Return the effects that the error of a model looks like, or None where none can be told."""
+    assert measured.time is not None and model.pose is not None
+    try:
+        return residual_effects(recording, robot, measured.time, measured, model.pose)
+    except CarosacError:
+        return None
 
 
 def _kept(

@@ -19,6 +19,7 @@ from carosac_toolkit.validation.phases import (
     REST_DURATION_MIN_S,
     REST_SPEED_MAX_M_S,
 )
+from carosac_toolkit.validation.residual_effects import ResidualEffects
 from carosac_toolkit.validation.scores import LengthScores, PoseScores
 
 
@@ -129,6 +130,9 @@ class ValidationResult:
             None where there is no rest or no stable equilibrium.
         exit_point_distance: Largest distance of an exit point measured in the run from the
             robot's [m], or None where none was measured.
+        effects: Effects that the error of the best model that moves looks like; None where they
+            were not asked for, or cannot be told.
+        effects_model: Name of that model; empty without effects.
         warnings: Evidence that lengths and poses do not belong together, such as wrong units;
             empty for a plausible recording.
     """
@@ -147,6 +151,8 @@ class ValidationResult:
     rest_speed: float | None = None
     natural_frequency: Array | None = None
     exit_point_distance: float | None = None
+    effects: ResidualEffects | None = None
+    effects_model: str = ""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -171,6 +177,11 @@ class ValidationResult:
         """Number of samples of the range without a measured pose nearby."""
         return self.stop - self.start - self.samples
 
+    def _effects_data(self) -> dict[str, Any]:
+        """Return the effects and the model whose error they are shares of."""
+        assert self.effects is not None
+        return {"model": self.effects_model, **self.effects.data()}
+
     def data(self) -> dict[str, Any]:
         """Return all numbers under names with units, for JSON; a model that raised has nulls."""
         names = self.robot.cable_names
@@ -191,6 +202,7 @@ class ValidationResult:
             },
             "starts_moving": self.starts_moving,
             "exit_point_distance_m": self.exit_point_distance,
+            "effects": None if self.effects is None else self._effects_data(),
             "warnings": self.warnings,
             "models": {name: model.data(names) for name, model in self.models.items()},
         }

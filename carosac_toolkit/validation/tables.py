@@ -6,6 +6,7 @@ import numpy as np
 
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.validation.quantities import say_length, unit_for
+from carosac_toolkit.validation.residual_effects import ResidualEffects
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.scores import PoseScores
 
@@ -19,6 +20,19 @@ CAUSE_HEADER = (
     "y", "z", "sway",
 )  # fmt: skip
 CAUSE_GROUPS = (1, 3, 3, 3, 1)
+EFFECT_HEADER = ("effect", "share", "meaning")
+EFFECT_MEANINGS = {
+    "delay": "poses late against the lengths",
+    "sway phase": "frequency or start of the sway: inertia, height of the centre of mass",
+    "damping law": "drag or dry friction",
+    "hysteresis": "paid-out lengths lag behind the encoders",
+    "tilt": "of the frame of the poses, or of gravity in it",
+    "centre of mass": "its horizontal place on the platform",
+    "length offset or scale": "of each cable",
+    "jitter": "of the time stamps from sample to sample",
+    "sensor": "white noise",
+    "other": "none of these",
+}
 
 
 def part_units(result: ValidationResult) -> str:
@@ -51,6 +65,12 @@ def part_rows(result: ValidationResult) -> Rows:
 def cause_rows(result: ValidationResult) -> Rows:
     """Return possible explanations of the errors, one row per model."""
     return [_cause(model) for model in result.models.values()]
+
+
+def effect_rows(effects: ResidualEffects) -> Rows:
+    """Return the share of each effect in an error, and what is left, as readable rows."""
+    shares = {**effects.shares, "other": effects.other}
+    return [(name, f"{share:.1%}", EFFECT_MEANINGS[name]) for name, share in shares.items()]
 
 
 def _part_unit(result: ValidationResult) -> tuple[str, float]:

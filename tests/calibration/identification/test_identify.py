@@ -136,7 +136,7 @@ def test_swapped_cables_are_refused_by_name(robot, run):
 
 def test_lengths_that_hang_the_robot_elsewhere_are_refused(robot, run):
     shifted = replace(run.recording, unstrained_length=run.recording.unstrained_length + 2.0)
-    with pytest.raises(InvalidField, match=r"from the first measured pose"):
+    with pytest.raises(InvalidField, match=r"m from where the lengths hold"):
         identify(shifted, robot, FEW, train=(0, 200))
 
 

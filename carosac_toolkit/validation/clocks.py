@@ -1,0 +1,285 @@
+"""Clocks of the channels of a recording against that of the cable lengths.
+
+Each channel is compared with what the lengths predict of it by the physics of the robot: measured
+poses by the straight distances from exit to anchor points, which change as the lengths do; tensions
+and inertial samples by what the measured motion takes, or rest on the lengths where no poses were
+measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.phases import slope
+from carosac_toolkit.validation.time_shift import (
+    Signal,
+    TimeShift,
+    UnknownShift,
+    binned,
+    find_shift,
+)
+
+ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu")
+PLAUSIBLE_DELAY_S = 0.1  # [s]: a sensor may be late by as much
+OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
+MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
+UNEXPLAINED_SHARE_MAX = {"poses": 0.05}  # of the variance: cables or units are mixed up beyond
+UNEXPLAINED_SHARE_OTHER_MAX = 0.4
+SIX_CABLES = 6  # more have tensions that the motion does not fix
+REST_SAMPLES_MAX = 6000  # of the lengths, for which the pose of rest is solved
+IMU_BIN_S = 0.04  # [s] over which inertial samples are averaged
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelClock:
+    """Clock of one channel against that of the lengths.
+
+    Attributes:
+        channel: Its name, as in `Recording`.
+        shift: By which its stamps are late, the delay of the lengths that the robot states left
+            out; None where it cannot be told.
+        reason: Why it cannot be told; empty where it can.
+        interval_deviation: Standard deviation of the intervals of its stamps [s].
+    """
+
+    channel: str
+    shift: TimeShift | None
+    reason: str
+    interval_deviation: float
+
+    def is_apart(self, delay_max: float = PLAUSIBLE_DELAY_S) -> bool:
+        """Return whether the offset is clear, and larger than a delay of a sensor may be [s]."""
+        shift = self.shift
+        if shift is None or abs(shift.seconds) <= delay_max:
+            return False
+        left, before = 1.0 - shift.explained, 1.0 - shift.explained_unshifted
+        if left > UNEXPLAINED_SHARE_MAX.get(self.channel, UNEXPLAINED_SHARE_OTHER_MAX):
+            return False
+        return (
+            abs(shift.seconds) > OFFSET_SIGMAS_MIN * shift.sigma
+            and before > MISFIT_RATIO_MIN * left
+        )
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON; null where they are unknown."""
+        shift = self.shift
+        return {
+            "offset_s": None if shift is None else shift.seconds,
+            "sigma_s": None if shift is None else shift.sigma,
+            "explained": None if shift is None else shift.explained,
+            "jitter_s": None if shift is None else shift.jitter,
+            "jitter_sigma_s": None if shift is None else shift.jitter_sigma,
+            "interval_deviation_s": self.interval_deviation,
+            "reason": self.reason,
+        }
+
+
+def channel_clocks(
+    recording: Recording, robot: Robot, channels: Sequence[str] = ALIGNED_CHANNELS
+) -> tuple[ChannelClock, ...]:
+    """Estimate the clock offset of each channel that a recording has.
+
+    Args:
+        recording: As calibrated (`carosac_toolkit.recordings.encoders.calibrated`), n cables.
+        robot: With as many cables. Its `length_delay` is no offset of a clock.
+        channels: Of `ALIGNED_CHANNELS`; those that the recording lacks are left out.
+    """
+    recording.require_cables(robot)
+    times = recording.channel_times
+    delay = robot.length_delay or 0.0
+    comparisons = _Comparisons(recording, robot)
+    clocks = []
+    for channel in (name for name in channels if name in times):
+        intervals = np.diff(times[channel])
+        deviation = float(intervals.std()) if len(intervals) else 0.0
+        shift, reason = None, ""
+        try:
+            found = comparisons.shift(channel)
+            late = 0.0 if channel == "length_rate" else delay
+            shift = replace(found, seconds=found.seconds - late)
+        except UnknownShift as error:
+            reason = str(error)
+        clocks.append(
+            ChannelClock(channel=channel, shift=shift, reason=reason, interval_deviation=deviation)
+        )
+    return tuple(clocks)
+
+
+def clock_warnings(
+    recording: Recording,
+    robot: Robot,
+    channels: Sequence[str] = ALIGNED_CHANNELS,
+    *,
+    delay_max: float = PLAUSIBLE_DELAY_S,
+) -> Iterator[str]:
+    """Name the channels whose clocks are apart from that of the lengths, and the remedy.
+
+    Args:
+        recording: As calibrated.
+        robot: With as many cables.
+        channels: Whose clocks matter.
+        delay_max: What a delay of a sensor may be [s].
+    """
+    for clock in channel_clocks(recording, robot, channels):
+        if clock.is_apart(delay_max) and clock.shift is not None:
+            side = "ahead of" if clock.shift.seconds > 0.0 else "behind"
+            yield (
+                f"The clock of channel {clock.channel} is {abs(clock.shift.seconds):.3f} s "
+                f"(+-{1e3 * clock.shift.sigma:.2g} ms) {side} that of the lengths: align it by "
+                f"'carosac import recording RECORDING --align --robot {robot.name} --output "
+                "ALIGNED.parquet'."
+            )
+
+
+def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Recording:
+    """Shift the stamps of channels to the clock of the lengths; the metadata say by how much.
+
+    Args:
+        recording: As it was recorded.
+        clocks: Of its channels.
+
+    Raises:
+        CarosacError: The offset of a channel is unknown.
+    """
+    changes: dict[str, Any] = {}
+    notes = []
+    for clock in clocks:
+        if clock.shift is None:
+            raise CarosacError(
+                f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
+            )
+        channel = getattr(recording, clock.channel)
+        changes[clock.channel] = replace(channel, time=channel.time - clock.shift.seconds)
+        notes.append(
+            f"{clock.channel} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
+        )
+    if not notes:
+        allowed = f"one with a channel of {list(ALIGNED_CHANNELS)}"
+        raise InvalidField("recording", "lengths alone", allowed)
+    before = recording.metadata.clock_offsets
+    text = f"{'; '.join(notes)}: removed from the stamps"
+    metadata = replace(recording.metadata, clock_offsets=f"{before}; {text}" if before else text)
+    return replace(recording, **changes, metadata=metadata)
+
+
+class _Comparisons:
+    """Each channel of one recording against what its lengths predict."""
+
+    def __init__(self, recording: Recording, robot: Robot) -> None:
+        """Take a recording as calibrated."""
+        self._recording = recording
+        self._robot = robot
+        self._poses_late: float | None = None
+        self._rest: tuple[Array, Equilibrium] | None = None
+
+    def shift(self, channel: str) -> TimeShift:
+        """Return by how much the stamps of a channel are late.
+
+        Raises:
+            UnknownShift: It cannot be told.
+        """
+        if channel == "poses":
+            found = self._poses()
+            self._poses_late = found.seconds
+            return found
+        if channel == "length_rate":
+            return find_shift(self._measured(channel), self._length_rates())
+        if channel == "tension":
+            return find_shift(self._measured(channel), self._tensions(), scaling="each")
+        imu = self._recording.imu
+        assert imu is not None
+        samples = Signal(time=imu.time, value=np.hstack([imu.angular_rate, imu.specific_force]))
+        return find_shift(binned(samples, IMU_BIN_S), self._inertial(), scaling="mixed")
+
+    def _measured(self, channel: str) -> Signal:
+        stamped = getattr(self._recording, channel)
+        return Signal(time=stamped.time, value=stamped.value)
+
+    def _lengths(self) -> Signal:
+        recording = self._recording
+        return Signal(time=recording.time, value=recording.unstrained_length)
+
+    def _length_rates(self) -> Signal:
+        """Return rates of the lengths [m/s]."""
+        lengths = self._lengths()
+        if len(lengths.time) < 2:
+            return lengths
+        rates = CubicSpline(lengths.time, lengths.value)(lengths.time, 1)
+        return Signal(time=lengths.time, value=rates)
+
+    def _poses(self) -> TimeShift:
+        """Compare the distances at the measured poses with the lengths."""
+        poses = self._recording.poses
+        assert poses is not None
+        cables = straight_length(self._robot, poses.position, poses.rotation)
+        good = cables.valid.all(axis=1)
+        distances = Signal(time=poses.time[good], value=cables.length[good])
+        return find_shift(distances, self._lengths())
+
+    def _rests(self) -> tuple[Array, Equilibrium]:
+        """Return poses of rest on the lengths, and their times [s]."""
+        if self._rest is None:
+            recording = self._recording
+            if recording.metadata.length_kind != "unstrained":
+                raise UnknownShift("lengths that are relative hold no platform at a known pose")
+            some = evenly(len(recording.time), REST_SAMPLES_MAX)
+            lengths = recording.unstrained_length[some]
+            if (lengths <= 0.0).any():
+                raise UnknownShift("not all lengths are positive")
+            rest = forward_kinematics(self._robot, lengths)
+            if not (rest.converged & rest.stable).all():
+                raise UnknownShift("the robot cannot hang at rest on all of the lengths")
+            self._rest = recording.time[some], rest
+        return self._rest
+
+    def _motion(self) -> tuple[Array, Array, Array, Array]:
+        """Return times by the clock of the lengths, positions, rotations and twists of P in W.
+
+        As measured, where the clock of the poses is known, and else of the platform at rest.
+        """
+        poses = self._recording.poses
+        if self._poses_late is not None and poses is not None:
+            time, position, rotation = poses.time - self._poses_late, poses.position, poses.rotation
+        else:
+            time, rest = self._rests()
+            position, rotation = rest.position, rest.rotation
+        if len(time) < 3:
+            raise UnknownShift("there are too few poses")
+        steps = Rotation.from_matrix(rotation[1:] @ rotation[:-1].swapaxes(1, 2)).as_rotvec()
+        turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+        return time, position, rotation, slope(time, np.hstack([position, turned]))
+
+    def _tensions(self) -> Signal:
+        """Return tensions [N] that move the platform as measured, or else hold it at rest."""
+        robot = self._robot
+        if self._poses_late is None or robot.n > SIX_CABLES:
+            time, rest = self._rests()
+            return Signal(time=time, value=rest.tension)
+        time, position, rotation, twist = self._motion()
+        acceleration = slope(time, twist)
+        acceleration[:, 2] += robot.gravity
+        wrench = np.einsum("kij,kj->ki", mass_matrix(robot, rotation), acceleration)
+        pull = np.linalg.pinv(structure_matrix(robot, position, rotation))
+        return Signal(time=time, value=np.einsum("kij,kj->ki", pull, wrench))
+
+    def _inertial(self) -> Signal:
+        """Return turning rate [rad/s] and specific force [m/s^2] in P, shape (K, 6)."""
+        time, _, rotation, twist = self._motion()
+        force = slope(time, twist[:, :3])
+        force[:, 2] += self._robot.gravity
+        in_platform = (np.einsum("kji,kj->ki", rotation, value) for value in (twist[:, 3:], force))
+        return Signal(time=time, value=np.hstack(list(in_platform)))

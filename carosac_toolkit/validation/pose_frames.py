@@ -1,0 +1,171 @@
+"""Frames of measured poses: another world frame, or another frame on the platform.
+
+The poses at which the platform would rest on the lengths are compared with the measured ones. Sway
+averages out, and what a calibration changes is small; a turned frame is not. With the rotation Q
+and the origin t of the frame of the poses in W, and the rotation C of the platform frame P in the
+tracked body, a platform at rest shows p_W = Q p + t and R_W = Q R C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.rest.statics import forward_kinematics
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
+
+RESTS_MAX = 300  # poses of rest that are compared, evenly spread
+RESTS_MIN = 4
+WORLD_TURN_MIN_RAD = 0.1  # [rad]: a smaller turn is a matter of calibration
+YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
+TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
+TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
+SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # zeros of lengths and exit points move it by less
+LEFT_SHARE_MAX = 0.5  # of the misfit that another frame may leave, to be named
+AXIS_COSINE_MIN = 0.98  # of a turn about an axis that goes by the axis's name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseFrames:
+    """Frames that measured poses seem to be in.
+
+    Attributes:
+        world_turn: Rotation from the frame of the poses to W, shape (3, 3); identity where it is
+            W, or not told.
+        shift: What is to be added to turned positions [m], shape (3,); zero where they fit.
+        body_turn: Rotation from P to the tracked body, shape (3, 3); identity where it is P.
+    """
+
+    world_turn: Array
+    shift: Array
+    body_turn: Array
+
+    @property
+    def turned(self) -> bool:
+        """True if the world frame or the tracked body is another one."""
+        return _angle(self.world_turn) > 0.0 or _angle(self.body_turn) > 0.0
+
+    def sentences(self, robot: Robot) -> Iterator[str]:
+        """Name the frames that are not those of the robot."""
+        world = Rotation.from_matrix(self.world_turn).as_rotvec()
+        body = Rotation.from_matrix(self.body_turn).as_rotvec()
+        moved, shifted = _components(self.shift), bool(self.shift.any())
+        if world.any():
+            yield (
+                f"The frame of the poses is turned against W of robot {robot.name}: they fit once "
+                f"turned by {_said(world)} of W"
+                + (f", then moved by {moved} m." if shifted else ".")
+            )
+        elif shifted:
+            yield (
+                f"Positions are {np.linalg.norm(self.shift):.2f} m from where the lengths hold the "
+                f"platform: they fit once moved by {moved} m in W. Is the tracked point the origin "
+                "of the platform frame, is the frame of the poses W, and are the zeros of the "
+                "lengths right?"
+            )
+        if body.any():
+            yield (
+                f"The tracked body is not the platform frame of robot {robot.name}: orientations "
+                f"fit once turned by {_said(body)} of the tracked body."
+            )
+
+
+def find_frames(
+    robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
+) -> PoseFrames | None:
+    """Estimate the frames of measured poses from poses of rest on the lengths.
+
+    Args:
+        robot: Robot description, n cables.
+        length: Unstrained [m], shape (S, n).
+        pose: Measured at the same times.
+        zeros_known: True if lengths are known but for what a calibration changes. If not, only
+            larger turns of the body are looked for, where the positions fit.
+
+    Returns:
+        Frames, those of the robot where another one would not explain over half of the misfit;
+        None where the robot cannot rest on the lengths.
+    """
+    some = evenly(len(length), RESTS_MAX)
+    length = length[some]
+    if not len(length) or (length <= 0.0).any():
+        return None
+    rest = forward_kinematics(robot, length)
+    good = rest.converged & rest.stable
+    if good.sum() < min(RESTS_MIN, len(length)):
+        return None
+    position, rotation = pose.position[some][good], pose.rotation[some][good]
+    rests, attitudes = rest.position[good], rest.rotation[good]
+    world = _turn_of_positions(position, rests)
+    body = _mean_rotation((world @ rotation).swapaxes(1, 2) @ attitudes)
+    missing = rests - position @ world.T
+    shift = missing.mean(axis=0)
+    least = SHIFT_MIN.of(Scales(robot).ratios)
+    scatter = float(np.sqrt(((missing - shift) ** 2).sum(axis=1).mean()))
+    zeros_right = zeros_known or float(np.linalg.norm(shift)) < least
+    if not zeros_right or not _explains_attitudes(
+        world @ rotation, attitudes, body, zeros_known=zeros_known
+    ):
+        body = np.eye(3)
+    if not np.linalg.norm(shift) > max(least, scatter):
+        shift = np.zeros(3)
+    return PoseFrames(world_turn=world, shift=shift, body_turn=body)
+
+
+def _turn_of_positions(position: Array, rests: Array) -> Array:
+    """Return the rotation Q about which rests are Q position + t, or identity (3, 3)."""
+    measured, wanted = position - position.mean(axis=0), rests - rests.mean(axis=0)
+    turn = np.eye(3)
+    if np.linalg.matrix_rank(measured, tol=1e-9) >= 2:
+        turn = Rotation.align_vectors(wanted, measured)[0].as_matrix()
+    before, after = (float(((wanted - measured @ t.T) ** 2).sum()) for t in (np.eye(3), turn))
+    explains = after < LEFT_SHARE_MAX**2 * before
+    return turn if explains and _angle(turn) > WORLD_TURN_MIN_RAD else np.eye(3)
+
+
+def _explains_attitudes(
+    rotation: Array, attitudes: Array, body: Array, *, zeros_known: bool
+) -> bool:
+    """Return whether a turn of the body is large, and explains most of the misfit."""
+    turn = _mean_rotation(rotation) @ Rotation.from_matrix(body).as_rotvec()
+    yaw, tilt = abs(float(turn[2])), float(np.hypot(turn[0], turn[1]))
+    if zeros_known and yaw < YAW_MIN_RAD and tilt < TILT_MIN_RAD:
+        return False
+    if not zeros_known and np.hypot(yaw, tilt) < TURN_WITHOUT_ZEROS_MIN_RAD:
+        return False
+    before, after = (
+        float(Rotation.from_matrix((rotation @ turn).swapaxes(1, 2) @ attitudes).magnitude().mean())
+        for turn in (np.eye(3), body)
+    )
+    return after < LEFT_SHARE_MAX * before
+
+
+def _mean_rotation(rotation: Array) -> Array:
+    """Return the mean of rotations (S, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotation).mean().as_matrix())
+
+
+def _angle(turn: Array) -> float:
+    return float(Rotation.from_matrix(turn).magnitude())
+
+
+def _said(vector: Array) -> str:
+    """Describe a rotation vector [rad] by angle and axis."""
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle
+    main = int(np.argmax(np.abs(axis)))
+    if abs(axis[main]) >= AXIS_COSINE_MIN:
+        return f"{np.degrees(angle) * np.sign(axis[main]):.0f} degrees about {'xyz'[main]}"
+    return f"{np.degrees(angle):.0f} degrees about {_components(axis)}"
+
+
+def _components(vector: Array) -> str:
+    """Write the components of a vector."""
+    return f"({', '.join(f'{round(value, 2) + 0.0:.2f}' for value in vector)})"  # no -0.00

@@ -1,0 +1,258 @@
+"""Physical effects that the error of a simulation looks like, each with its share.
+
+The error is regressed on the signatures of the effects (`effect_signatures`), with priors on their
+sizes. What an effect explains is judged on stretches of the run that the regression did not see.
+Signatures resemble each other, so shares depend on an order: first comes the effect that explains
+most alone, then the one that adds most to it, and so on. What two effects could both explain thus
+counts for the one that explains more. Jitter of the stamps and noise of the sensors are white, and
+have a share by their variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.clocks import channel_clocks
+from carosac_toolkit.validation.effect_signatures import effect_signatures
+
+SAMPLES_MIN = 60  # fewer tell no effects apart
+DURATION_MIN_S = 15.0  # [s]: a shorter run shows too few swings
+RATE_MAX_HZ = 20.0  # [Hz] of the samples that are used
+DURATION_MAX_S = 150.0  # [s] of the run that is used, from its start
+STRETCHES = 10  # of the run: each is predicted from the others
+SLOW_SHARE = 0.5  # of the samples, the slowest, that show the noise of the sensors alone
+NORMAL_SQUARE_MEDIAN = 0.4549  # median of the square of a standard normal number
+FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+NAMED_SHARE_MIN = 0.05  # of the squared error: a smaller share is not named in sentences
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualEffects:
+    """Shares of effects in a mean squared error, turns taken at the lever arm of the platform.
+
+    Attributes:
+        rms: Of the error [m].
+        shares: By effect, largest first; never negative.
+        other: Share that looks like none of them.
+        jitter: Of single stamps, from lengths and poses [s]; NaN where it cannot be told.
+        noise: Of the sensors, white, RMS [m].
+    """
+
+    rms: float
+    shares: dict[str, float]
+    other: float
+    jitter: float
+    noise: float
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers under names with units, ready for JSON."""
+        return {
+            "rms_m": self.rms,
+            "shares": self.shares,
+            "other": self.other,
+            "jitter_s": self.jitter if np.isfinite(self.jitter) else None,
+            "noise_m": self.noise,
+        }
+
+    def sentence(self, whose: str) -> str:
+        """Name the effects with a share worth a word, largest first.
+
+        Args:
+            whose: Model or robot whose error it is.
+        """
+        shares = {**self.shares, "none of these effects": self.other}
+        named = [
+            f"{name} {share:.0%}" for name, share in shares.items() if share >= NAMED_SHARE_MIN
+        ]
+        return (
+            f"What the error of {whose} looks like, as shares of its square "
+            f"({self.rms * 1e3:.1f} mm RMS, turns included): {', '.join(named)}."
+        )
+
+
+def residual_effects(
+    recording: Recording, robot: Robot, time: Array, measured: Pose, modelled: Pose
+) -> ResidualEffects:
+    """Tell which effects the error of an open-loop simulation looks like.
+
+    Args:
+        recording: As calibrated, n cables, with unstrained lengths.
+        robot: That was simulated.
+        time: Increasing, within the lengths [s], shape (K,).
+        measured: Poses at these times.
+        modelled: Poses at these times, by a model that moves.
+
+    Raises:
+        CarosacError: Too few samples, or a robot that cannot rest on the lengths.
+    """
+    some = _thinned(time)
+    time = time[some]
+    if len(time) < SAMPLES_MIN or time[-1] - time[0] < DURATION_MIN_S:
+        raise CarosacError(f"{len(time)} samples are too few to tell effects apart")
+    measured, modelled = (
+        Pose(position=pose.position[some], rotation=pose.rotation[some])
+        for pose in (measured, modelled)
+    )
+    signatures = effect_signatures(recording, robot, time, modelled)
+    error = _error(measured, modelled, signatures.lever)
+    regression = _Regression(signatures.motion, error)
+    shares, left = _shares(regression), regression.left(regression.names)
+    square = float((error**2).sum(axis=1).mean())
+    clocks = channel_clocks(recording, robot, ("poses",))
+    shift = clocks[0].shift if clocks else None
+    jitter = np.nan if shift is None else shift.jitter
+    speed = float((signatures.speed**2).sum(axis=1).mean())
+    noise = _white(left, signatures.speed)
+    white = {
+        "jitter": min(float(np.nan_to_num(jitter)) ** 2 * speed / square, 1.0),
+        "sensor": min(noise**2 / square, 1.0),
+    }
+    return _result(float(np.sqrt(square)), shares | white, float(jitter), noise)
+
+
+def _thinned(time: Array) -> NDArray[np.intp]:
+    """Return the rows of the samples that are used."""
+    bins = np.floor((time - time[0]) * RATE_MAX_HZ + 1e-6)
+    first = np.flatnonzero(np.diff(bins, prepend=-1.0) > 0.0)
+    return np.asarray(first[time[first] - time[0] <= DURATION_MAX_S])
+
+
+def _result(rms: float, shares: dict[str, float], jitter: float, noise: float) -> ResidualEffects:
+    """Sort the shares; where they exceed all there is, as their estimates may, scale them down."""
+    known = {name: max(share, 0.0) for name, share in shares.items()}
+    total = sum(known.values())
+    scaled = {name: share / max(total, 1.0) for name, share in known.items()}
+    return ResidualEffects(
+        rms=rms,
+        shares=dict(sorted(scaled.items(), key=lambda item: -item[1])),
+        other=max(1.0 - total, 0.0),
+        jitter=jitter,
+        noise=noise,
+    )
+
+
+def _error(measured: Pose, modelled: Pose, lever: float) -> Array:
+    """Return modelled minus measured: positions, and rotation vectors in W by a lever, (K, 6)."""
+    turn = Rotation.from_matrix(modelled.rotation @ measured.rotation.swapaxes(1, 2)).as_rotvec()
+    return np.hstack([modelled.position - measured.position, lever * turn])
+
+
+def _shares(regression: _Regression) -> dict[str, float]:
+    """Return what each effect of a regression adds to those that explain more."""
+    shares = dict.fromkeys(regression.names, 0.0)
+    chosen: tuple[str, ...] = ()
+    explained = 0.0
+    while len(chosen) < len(shares):
+        others = [name for name in regression.names if name not in chosen]
+        gains = {name: regression.explained((*chosen, name)) - explained for name in others}
+        best = max(gains, key=lambda name: gains[name])
+        if gains[best] <= 0.0:
+            break
+        shares[best], chosen = gains[best], (*chosen, best)
+        explained += gains[best]
+    return shares
+
+
+class _Regression:
+    """Ridge regressions of an error on effects, each stretch predicted from the others."""
+
+    def __init__(self, columns: dict[str, Array], error: Array) -> None:
+        count = len(error)
+        self.names = tuple(columns)
+        self._error = error
+        self._where = {}
+        first = 0
+        for name, each in columns.items():
+            self._where[name] = np.arange(first, first + each.shape[2])
+            first += each.shape[2]
+        self._basis = np.concatenate(list(columns.values()), axis=2)  # (K, 6, C)
+        edges = np.linspace(0, count, STRETCHES + 1).round().astype(int)
+        self._stretches = [np.arange(a, b) for a, b in pairwise(edges)]
+        basis = [self._basis[rows] for rows in self._stretches]
+        errors = [error[rows] for rows in self._stretches]
+        self._squares = np.array([np.einsum("kic,kid->cd", b, b) for b in basis])
+        self._products = np.array(
+            [np.einsum("kic,ki->c", b, e) for b, e in zip(basis, errors, strict=True)]
+        )
+        self._sizes = np.array([(e**2).sum() for e in errors])
+
+    def _ridge(self, rows: NDArray[np.intp]) -> float:
+        """Return the variance of what some columns leave, errors that last counting for less.
+
+        That is what a prior sigma of 1 weighs against in a least squares fit.
+        """
+        square, product = self._squares.sum(axis=0)[np.ix_(rows, rows)], self._products.sum(axis=0)
+        weights = np.linalg.lstsq(square, product[rows], rcond=1e-12)[0]
+        left = self._error - self._basis[:, :, rows] @ weights
+        variance = max(float((left**2).mean()), 1e-6 * float((self._error**2).mean()))
+        return variance * len(left) / _independent(left)
+
+    def explained(self, names: Sequence[str]) -> float:
+        """Return the share of the square that effects explain where they were not fitted."""
+        if not self._sizes.sum() > 0.0:
+            return 0.0
+        rows = self._rows(names)
+        ridge = self._ridge(rows)
+        left = 0.0
+        for k in range(len(self._stretches)):
+            weights = self._weights(rows, ridge, without=k)
+            square = self._squares[k][np.ix_(rows, rows)]
+            left += self._sizes[k] - 2.0 * weights @ self._products[k, rows]
+            left += weights @ square @ weights
+        return float(1.0 - left / self._sizes.sum())
+
+    def left(self, names: Sequence[str]) -> Array:
+        """Return what effects leave where they were not fitted, (K, 6)."""
+        rows = self._rows(names)
+        ridge = self._ridge(rows)
+        parts = [
+            self._error[stretch]
+            - self._basis[stretch][:, :, rows] @ self._weights(rows, ridge, without=k)
+            for k, stretch in enumerate(self._stretches)
+        ]
+        return np.concatenate(parts)
+
+    def _rows(self, names: Sequence[str]) -> NDArray[np.intp]:
+        return np.concatenate([self._where[name] for name in names])
+
+    def _weights(self, rows: NDArray[np.intp], ridge: float, *, without: int) -> Array:
+        """Return the sizes of effects in prior sigmas, from all stretches but one."""
+        square = (self._squares.sum(axis=0) - self._squares[without])[np.ix_(rows, rows)]
+        product = (self._products.sum(axis=0) - self._products[without])[rows]
+        return np.asarray(np.linalg.solve(square + ridge * np.eye(len(rows)), product))
+
+
+def _independent(error: Array) -> float:
+    """Return how many of K errors count as independent, by their autocorrelation."""
+    count = len(error)
+    spectrum = np.fft.rfft(error - error.mean(axis=0), 2 * count, axis=0)
+    power = np.fft.irfft(np.abs(spectrum) ** 2, axis=0).sum(axis=1)[: count // 2]
+    correlation = power / max(float(power[0]), np.finfo(np.float64).tiny)
+    return count / (1.0 + 2.0 * float(np.maximum(correlation[1:] ** 2 - 1.0 / count, 0.0).sum()))
+
+
+def _white(left: Array, speed: Array) -> float:
+    """Return the RMS of the white noise in errors (K, 6) where the platform is slow.
+
+    Fourth differences leave hardly anything of a swing; medians ignore single events.
+    """
+    rows = np.arange(len(left) - len(FOURTH_DIFFERENCE) + 1)
+    differences = sum(
+        weight * left[rows + k] for k, weight in enumerate(FOURTH_DIFFERENCE)
+    ) / np.linalg.norm(FOURTH_DIFFERENCE)
+    pace = (speed[rows + 2] ** 2).sum(axis=1)
+    slow = pace <= np.quantile(pace, SLOW_SHARE)
+    squares = np.median(np.asarray(differences)[slow] ** 2, axis=0) / NORMAL_SQUARE_MEDIAN
+    return float(np.sqrt(squares.sum()))

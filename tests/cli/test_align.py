@@ -1,0 +1,75 @@
+"""``carosac import recording --align``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.recordings.files import load_recording, save_recording
+from tests.validation.moving import moving_run
+
+
+@pytest.fixture
+def file(tmp_path):
+    run = moving_run()
+    path = tmp_path / "run.csv"
+    save_recording(replace(run, poses=replace(run.poses, time=run.poses.time + 2.0)), path)
+    return path
+
+
+def align(*words):
+    return main(["import", "recording", *map(str, words), "--align"])
+
+
+def test_stamps_are_shifted_and_the_offset_is_printed_and_kept(file, tmp_path, capsys):
+    output, numbers = tmp_path / "aligned.parquet", tmp_path / "numbers.json"
+    assert align(file, "--robot", "carosac", "--output", output, "--json", numbers) == 0
+    assert "+1999.8" in capsys.readouterr().out
+    aligned = load_recording(output)
+    assert aligned.poses.time == pytest.approx(moving_run().poses.time, abs=1e-3)
+    assert aligned.metadata.clock_offsets.startswith("poses +1.99")
+    assert aligned.metadata.robot == "carosac"
+    clocks = json.loads(numbers.read_text())["clocks"]
+    assert set(clocks) == {"poses", "tension", "imu"}
+    assert clocks["poses"]["offset_s"] == pytest.approx(2.0, abs=1e-3)
+    assert clocks["imu"]["jitter_s"] is None
+
+
+def test_only_the_named_channels_are_shifted(file, tmp_path):
+    output = tmp_path / "aligned.csv"
+    words = ("--robot", "carosac", "--align-channels", "poses", "--output", output)
+    assert align(file, *words) == 0
+    np.testing.assert_array_equal(load_recording(output).imu.time, moving_run().imu.time)
+
+
+def test_a_channel_without_an_offset_is_one_message_and_no_file(tmp_path, capsys):
+    run = moving_run()
+    still = np.broadcast_to(run.unstrained_length[:1], run.unstrained_length.shape)
+    save_recording(replace(run, unstrained_length=still), tmp_path / "still.csv")
+    output = tmp_path / "aligned.csv"
+    assert align(tmp_path / "still.csv", "--robot", "carosac", "--output", output) == 2
+    assert "the clock of channel poses cannot be aligned: the lengths" in capsys.readouterr().err
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "--robot: got nothing"),
+        (("--robot", "carosac", "--align-channels", "length_rate"), "allowed: of ['poses',"),
+        (("--robot", "carosac", "--lengths", "/joints"), "its channels are known"),
+        (("--robot", "cogiro"), "got 4 cables; allowed: 8 cables"),
+    ],
+)
+def test_what_cannot_be_aligned_is_one_message(file, capsys, words, said):
+    assert align(file, *words) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_recording_file_is_read_for_its_clocks_only(file, capsys):
+    assert main(["import", "recording", str(file)]) == 2
+    assert "a bag, or --align with a recording file" in capsys.readouterr().err

@@ -1,0 +1,61 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import carosac_toolkit as ct
+from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.validation.plausibility import find_misfits
+
+ROBOT = ct.load_robot("carosac")
+RUN = ct.load_recording(find_recording("synthetic"))
+
+
+def turn(axis, degrees):
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+
+
+def seen(run, *, body=None, point=(0.0, 0.0, 0.0), world=None, shift=(0.0, 0.0, 0.0)):
+    """Poses of another body, or of another point of it, in another world frame."""
+    body, world = (np.eye(3) if each is None else each for each in (body, world))
+    poses = run.poses
+    position = (poses.position + poses.rotation @ np.asarray(point)) @ world.T + shift
+    turned = world @ poses.rotation @ body
+    return replace(run, poses=PoseSamples.from_rotation(poses.time, position, turned))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, ""),
+        ({"shift": (0.05, 0.0, 0.0)}, ""),
+        ({"body": turn("z", 5)}, ""),
+        ({"body": turn("z", 90)}, "platform frame of robot {}: orientations fit once turned by -9"),
+        ({"body": turn("x", 90)}, "platform frame of robot {}: orientations fit once turned by -9"),
+        ({"body": turn("x", 90)}, "degrees about x of the tracked body"),
+        ({"world": turn("z", 90)}, "turned against W of robot {}: they fit once turned by -90"),
+        ({"world": turn("z", 180)}, "180 degrees about z of W"),
+        ({"world": turn("z", -15)}, "once turned by 15 degrees about z of W"),
+        ({"world": turn("x", 90)}, "once turned by -90 degrees about x of W"),
+        ({"world": turn("x", 90), "body": turn("z", -90)}, "about z of the tracked body"),
+        ({"shift": (1.0, 0.0, 0.0)}, "the lengths hold the platform: they fit once moved by (-"),
+        ({"point": (0.0, 0.0, 0.25)}, "Is the tracked point the origin of the platform frame"),
+        ({"world": turn("z", 90), "shift": (0.0, 1.0, 0.0)}, "then moved by ("),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["carosac", "scampi"])
+def test_each_frame_is_named_and_nothing_else(name, change, said, request):
+    run, robot = RUN, ROBOT
+    if name == "scampi":
+        data = request.getfixturevalue("real_data")
+        run, robot = ct.load_recording(data / "scampi_run_part.csv"), ct.load_robot("scampi")
+    text = " ".join(find_misfits(seen(run, **change), robot))
+    assert said.format(name) in text
+    assert bool(text) == bool(said)
+
+
+def test_half_a_turn_about_z_looks_like_another_order_of_quaternions_and_both_are_named():
+    text = find_misfits(seen(RUN, body=turn("z", 180)), ROBOT)
+    assert "x y z w" in text[0] and text[1].startswith("Otherwise: The tracked body")
