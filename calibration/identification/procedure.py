@@ -15,6 +15,7 @@ from calibration.identification.result import (
     RestErrors,
     ScoredRange,
 )
+from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import FreeSway, find_sway
 from calibration.identification.unknowns import choose_coordinates
@@ -85,10 +86,11 @@ def identify(
     sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
     before = _motion(robot, robot, path, poses, chosen, sway, sway.guess)
     _check_start(before)
-    fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
+    run = FittedRun(path=path, poses=fitted, sway=sway)
+    fit = Fitter(unknowns, [run], chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(robot, identified, path, poses, chosen, sway, fit.start)
+    after = _motion(robot, identified, path, poses, chosen, sway, fit.starts[0])
     against_mean = _against_mean(robot, poses, after, test or train)
     scored = None if test is None else _part(poses, before, after, test)
     return Identification(
@@ -99,7 +101,7 @@ def identify(
         train=_part(poses, before, after, train),
         test=scored,
         rests=_rests(recording, robot, identified, poses),
-        first_motion=FirstMotion.of(sway, fit.start, first),
+        first_motion=FirstMotion.of(sway, fit.starts[0], first),
         against_mean=against_mean,
         measured=poses,
         position_before=before[:, :3] + poses.position,

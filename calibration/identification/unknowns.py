@@ -25,6 +25,7 @@ from carosac_toolkit.robot.parameters import turn_between, values_of, with_value
 from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
+INVERSE_SHARE_MIN = 0.25  # least share of itself that 1 / EA is left in a step
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
 _FACTOR_FIELDS = (
     "mass",
@@ -94,6 +95,19 @@ class Coordinates:
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = spread * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
+
+    def moved(self, at: Array, step: Array) -> Array:
+        """Return coordinates after a step to first order, shape (k,).
+
+        A cable stretches by the inverse of its EA, so a step of EA is one of that inverse: along it
+        the motion changes in proportion, which it does not along the logarithm.
+        """
+        moved = at + step
+        for i, name in enumerate(self.prior.names):
+            if field_of(name) == "axial_stiffness":
+                share = max(1.0 - self.scale[i] * step[i], INVERSE_SHARE_MIN)
+                moved[i] = at[i] - np.log(share) / self.scale[i]
+        return moved
 
     def _lengthening(self, name: str, values: Array) -> float:
         """Return by which factor the cable of an EA becomes longer with its run."""
