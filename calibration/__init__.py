@@ -12,7 +12,7 @@ from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from calibration.estimate import ParameterEstimate
-    from calibration.identification.procedure import identify
+    from calibration.identification.procedure import identify, identify_runs
     from calibration.identification.result import Identification
     from calibration.identification.settings import IdentificationSettings
     from calibration.identification.synthetic import RunSettings, SyntheticRun, simulate_run
@@ -102,6 +102,7 @@ _MODULES = {
     "draw_survey": "tachymeter.synthetic",
     "holds_motor_angles": "self_calibration.motor_angle_files",
     "identify": "identification.procedure",
+    "identify_runs": "identification.procedure",
     "load_motor_angles": "self_calibration.motor_angle_files",
     "measure_motor_angles": "self_calibration.synthetic",
     "read_survey": "tachymeter.survey_files",
@@ -154,6 +155,7 @@ __all__ = [
     "draw_survey",
     "holds_motor_angles",
     "identify",
+    "identify_runs",
     "load_motor_angles",
     "measure_motor_angles",
     "read_survey",

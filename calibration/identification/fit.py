@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +90,7 @@ class Fitter:
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
         self._own = [
-            np.concatenate([np.arange(self._count), np.arange(a, b)])
-            for a, b in zip(edges, edges[1:], strict=False)
+            np.concatenate([np.arange(self._count), np.arange(a, b)]) for a, b in pairwise(edges)
         ]  # rows of the coordinates that each run depends on
         loose = sum(sizes)
         self._names = [*unknowns.prior.names, *(name for run in runs for name in run.sway.names)]
@@ -167,13 +167,11 @@ class Fitter:
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
             settled = self._promise(at, hessian, gradient) <= SETTLED_DECREASE
-            if settled and count > NOISE_UPDATES_MAX:
+            if settled:
                 break
             step = self._search(at, hessian, gradient, errors, noise, damping)
             at, errors, damping = step.at, step.errors, step.damping
-        return _Search(
-            at=at, errors=errors, jacobians=jacobians, count=count, settled=settled
-        )
+        return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:
         """Return by how much scores of long stretches vary more than independent ones, >= 1."""

@@ -236,9 +236,7 @@ def _simulate_alike(
     for k, drive in enumerate(drives):
         seen, own = np.searchsorted(looked, drive.rows), slice(edges[k], edges[k + 1])
         motions.append(
-            OpenLoop(
-                position=position[seen, own], rotation=rotation[seen, own], failed=failed[own]
-            )
+            OpenLoop(position=position[seen, own], rotation=rotation[seen, own], failed=failed[own])
         )
     return motions
 
@@ -302,7 +300,7 @@ class _Starts:
         which = np.flatnonzero(moves)
         if len(which):
             position[which], rotation[which], twist[which] = swaying_states(
-                sways, [robots[b] for b in which],
+                sways, [robots[int(b)] for b in which],
                 Pose(position=rest.position[which], rotation=rest.rotation[which]),
                 lengths[0, which], rate[which], np.array(coordinates),
             )  # fmt: skip

@@ -136,9 +136,7 @@ def swaying_states(
     for own in rows.values():
         robot = robots[own[0]]
         wanted = straight_length(robot, rest.position[own], rest.rotation[own]).length
-        position[own], rotation[own] = poses_on_lengths(
-            robot, position[own], rotation[own], wanted
-        )
+        position[own], rotation[own] = poses_on_lengths(robot, position[own], rotation[own], wanted)
         twist[own] = twists_on_rates(
             robot, position[own], rotation[own], length[own], rate[own], free[own]
         )

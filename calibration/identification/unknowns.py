@@ -19,7 +19,9 @@ from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.device import lever
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
 from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
@@ -158,7 +160,7 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     Raises:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
-    names, scale = _names(robot, settings)
+    names, scale = _names(robot, resolved(settings, Scales(robot).ratios))
     factor = np.array(
         [name in _INERTIA_NAMES or field_of(name) in _FACTOR_FIELDS for name in names]
     )

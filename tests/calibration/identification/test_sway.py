@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import poses_of
-from calibration.identification.settings import IdentificationSettings
 from calibration.identification.runs import FittedRun
+from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.loop.values import Pose
