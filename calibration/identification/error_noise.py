@@ -19,7 +19,7 @@ from carosac_toolkit.base.arrays import Array
 
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
 # cables without inertia make an error of this size whatever the parameters are.
-SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
+SIGMA_MIN = np.repeat([1e-3, 1e-3], 3)
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 

@@ -29,10 +29,11 @@ POSE_SHARES = (
 STEPS_PER_SHARE = 4  # for each share but the last
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
-CORRELATED_AXES = 6.0  # axes that count as one in covariances: one swing shows in all of them
-DERIVATIVE_STEP_RATIO = 2.0  # of the simulator's time steps, for derivatives and for errors
+CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
+COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
+RUNS_APART_MIN = 10  # recordings from which on their scatter tells covariances
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -125,10 +126,10 @@ class Fitter:
         excess = self._excess(state, noise, information)
         own = slice(self._count)
         inverse = np.linalg.inv(information + self._precision)
-        scores = CORRELATED_AXES * excess * information  # as they vary, beside the prior
+        scores = excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
-        information /= CORRELATED_AXES * excess
+        information /= excess
         return CoordinateFit(
             coordinates=at[own],
             covariance=np.asarray(covariance[own, own], float),
@@ -157,24 +158,33 @@ class Fitter:
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
-        damping, settled = DAMPING_START, False
+        damping, settled, coarse = DAMPING_START, False, True
         errors = self._errors_at(at)
         for count in range(1, (steps or self._settings.iterations) + 1):
-            jacobians = self._jacobians(at)
+            jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = estimate_noise(errors)
             report(sum(map(len, errors)), *_rms(np.concatenate(errors)))
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
             settled = self._promise(at, hessian, gradient) <= SETTLED_DECREASE
-            if settled:
-                break
-            step = self._search(at, hessian, gradient, errors, noise, damping)
-            at, errors, damping = step.at, step.errors, step.damping
+            if not settled:
+                step = self._search(at, hessian, gradient, errors, noise, damping)
+                stuck = step.decrease <= (SETTLED_DECREASE if coarse else 0.0)
+                at, errors, damping = step.at, step.errors, step.damping
+            if settled or stuck:
+                if steps is not None or not coarse:
+                    break
+                coarse = False
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:
-        """Return by how much scores of long stretches vary more than independent ones, >= 1."""
+        """Return by how much scores vary more than independent ones.
+
+        Many recordings tell it by themselves: one is independent of the others. In a few, scores of
+        long stretches tell what lasts for less than these; what lasts longer shows in all axes.
+        """
+        many = len(self._runs) >= RUNS_APART_MIN
         sums = []
         for run, own, errors, jacobian in zip(
             self._runs, self._own, state.errors, state.jacobians, strict=True
@@ -182,14 +192,22 @@ class Fitter:
             scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
             time = run.poses.time
             length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
-            parts = np.add.reduceat(scores, np.arange(0, len(scores), length), axis=0)
+            edges = np.arange(0, len(scores), len(scores) if many else length)
+            parts = np.add.reduceat(scores, edges, axis=0)
             whole = np.zeros((len(parts), len(information)))
             whole[:, own] = parts
             sums.append(whole)
         stretches = np.concatenate(sums)
+        if many:  # the score of each start has vanished with its run
+            own = slice(self._count)
+            left = self._marginal(information)
+            inverse = np.linalg.inv(left + self._precision[own, own])
+            spread = float(np.einsum("bi,ij,bj->", stretches[:, own], inverse, stretches[:, own]))
+            count = len(stretches)
+            return spread * count / (count - 1) / float(np.trace(inverse @ left))
         inverse = np.linalg.inv(information + self._precision)
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
-        return max(1.0, spread / float(np.trace(inverse @ information)))
+        return CORRELATED_AXES * max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""
@@ -246,16 +264,18 @@ class Fitter:
                 known[key] = None
         return known[key]
 
-    def _jacobians(self, at: Array) -> list[Array]:
+    def _jacobians(self, at: Array, *, coarse: bool) -> list[Array]:
         """Return the derivatives of each run's errors (K, 6) by what it depends on, (K, 6, p).
 
-        By longer time steps than those of the errors: half the work, and the same within a percent.
+        Coarse ones come from longer time steps: half the work, and the same within a percent or so.
+        That leads to where the search ends within a sigma, and exact ones lead to its end.
         """
+        ratio = COARSE_STEP_RATIO if coarse else 1.0
         steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
         varied = [own[self._searched[own]] for own in self._own]
         errors, good = self._simulated(
             [np.vstack([at, at + steps[rows]]) for rows in varied],
-            DERIVATIVE_STEP_RATIO * self._settings.time_step,
+            ratio * self._settings.time_step,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
@@ -322,9 +342,10 @@ class Fitter:
                     at=points[best],
                     errors=[each[best] for each in trials],
                     damping=max(damping / 8.0, 1e-6),
+                    decrease=lowest - costs[best],
                 )
             damping *= 5.0
-        return _Step(at=at, errors=errors, damping=DAMPING_START)
+        return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
     def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
         """Return the coordinates that are searched and not held at their bound."""
@@ -362,11 +383,13 @@ class _Step:
         at: All coordinates there.
         errors: Of each run, shape (K, 6).
         damping: To begin the next one with.
+        decrease: Of the cost.
     """
 
     at: Array
     errors: list[Array]
     damping: float
+    decrease: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

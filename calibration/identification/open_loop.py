@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,9 +176,7 @@ class _Drive:
         """Return the lengths of a run."""
         first = run.path.first
         seen = run.time - first
-        step = LENGTH_GRID.of(Scales(run.robots[0]).ratios)
-        when = np.unique(np.concatenate([np.arange(0.0, seen[-1], step), seen]))
-        when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
+        when = _evenly(seen, LENGTH_GRID.of(Scales(run.robots[0]).ratios))
         return cls(
             when=when,
             rows=np.searchsorted(when, seen - TIME_ROUNDING_S),
@@ -195,6 +194,20 @@ class _Drive:
         """Return lengths at `count` times, held after the last."""
         missing = count - len(self.when)
         return np.concatenate([self.lengths, np.repeat(self.lengths[-1:], missing, axis=0)])
+
+
+def _evenly(seen: Array, step: float) -> Array:
+    """Return times from 0 on (M,) that divide the intervals of others (K,) evenly.
+
+    Intervals of very different lengths would end the memory of the integrator, and damp the motion.
+    """
+    edges = np.concatenate([[0.0], seen])
+    parts = [
+        np.linspace(a, b, int(np.ceil((b - a) / step - TIME_ROUNDING_S)), endpoint=False)
+        for a, b in pairwise(edges)
+        if b - a > TIME_ROUNDING_S
+    ]
+    return np.concatenate([*parts, seen[-1:]])
 
 
 def _alike(drives: Sequence[_Drive]) -> list[list[int]]:
