@@ -347,25 +347,34 @@ class Fitter:
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
-    def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
-        """Return the coordinates that are searched and not held at their bound."""
-        held = (at <= self._lower + 1e-9) & (gradient > 0.0)
-        return np.asarray(self._searched & ~held)
-
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""
-        free = self._free(at, gradient)
-        inverse = np.linalg.inv(hessian[np.ix_(free, free)])
-        return float(gradient[free] @ inverse @ gradient[free])
+        step = self._bounded(at, hessian, gradient)
+        return float(-(2.0 * gradient + hessian @ step) @ step)
 
     def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return a damped step."""
-        free = self._free(at, gradient)
-        stiff = hessian + damping * np.diag(np.diag(hessian))
-        step = np.zeros(len(at))
-        step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
+        step = self._bounded(at, hessian + damping * np.diag(np.diag(hessian)), gradient)
         longest = float(np.abs(step / self._sigma).max())
-        return np.asarray(step * min(1.0, STEP_MAX_SIGMAS / longest))
+        return np.asarray(step * min(1.0, STEP_MAX_SIGMAS / max(longest, STEP_MAX_SIGMAS)))
+
+    def _bounded(self, at: Array, hessian: Array, gradient: Array) -> Array:
+        """Return the step to the least of a quadratic cost that keeps coordinates in their bounds.
+
+        Coordinates that would leave their bound stop there, one set after another, and the others
+        step as is best beside that.
+        """
+        room = self._lower - at
+        step, free = np.zeros(len(at)), self._searched.copy()
+        while free.any():
+            pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
+            step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], pull)
+            leaves = free & (step < room)
+            if not leaves.any():
+                break
+            step[leaves] = room[leaves]
+            free &= ~leaves
+        return step
 
     def _moved(self, at: Array, step: Array) -> Array:
         """Return the end of a step; coordinates that would leave their bound stay on it."""
