@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from calibration.identification.result import Identification
     from calibration.identification.settings import IdentificationSettings
     from calibration.identification.synthetic import RunSettings, SyntheticRun, simulate_run
+    from calibration.identification.synthetic_oscillations import (
+        OscillationSettings,
+        simulate_oscillations,
+    )
     from calibration.lengths.calibrate import calibrate_lengths
     from calibration.lengths.checks import MixUp
     from calibration.lengths.planning import SuggestedPoses, suggest_poses
@@ -77,6 +81,7 @@ _MODULES = {
     "MixUp": "lengths.checks",
     "MotorAngles": "self_calibration.motor_angles",
     "Observability": "observability",
+    "OscillationSettings": "identification.synthetic_oscillations",
     "ParameterEstimate": "estimate",
     "Prior": "prior",
     "ReadingBlunder": "tachymeter.result",
@@ -106,6 +111,7 @@ _MODULES = {
     "load_motor_angles": "self_calibration.motor_angle_files",
     "measure_motor_angles": "self_calibration.synthetic",
     "read_survey": "tachymeter.survey_files",
+    "simulate_oscillations": "identification.synthetic_oscillations",
     "simulate_run": "identification.synthetic",
     "suggest_poses": "lengths.planning",
     "updated": "robot_update",
@@ -130,6 +136,7 @@ __all__ = [
     "MixUp",
     "MotorAngles",
     "Observability",
+    "OscillationSettings",
     "ParameterEstimate",
     "Prior",
     "ReadingBlunder",
@@ -159,6 +166,7 @@ __all__ = [
     "load_motor_angles",
     "measure_motor_angles",
     "read_survey",
+    "simulate_oscillations",
     "simulate_run",
     "suggest_poses",
     "updated",

@@ -19,7 +19,9 @@ from carosac_toolkit.base.arrays import Array
 
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
 # cables without inertia make an error of this size whatever the parameters are.
-SIGMA_MIN = np.repeat([1e-3, 1e-3], 3)
+SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
+RUNS_APART_MIN = 10  # recordings from which on their own scatter tells how large errors are
+MANY_SIGMA_SHARE = 0.1  # of the least sigma, where many recordings tell it
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
@@ -52,8 +54,9 @@ def estimate_noise(errors: Sequence[Array]) -> PoseErrorNoise:
     together = np.concatenate(errors)
     typical = np.median(np.abs(together), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((together**2).mean(axis=0))
+    least = SIGMA_MIN if len(errors) < RUNS_APART_MIN else MANY_SIGMA_SHARE * SIGMA_MIN
     return PoseErrorNoise(
-        sigma=np.maximum(SIGMA_MIN, np.minimum(rms, 1.5 * typical)),
+        sigma=np.maximum(least, np.minimum(rms, 1.5 * typical)),
         repeats=np.array([_repeats([run[:, k] for run in errors]) for k in range(6)]),
     )
 

@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.identification.error_noise import PoseErrorNoise, estimate_noise
+from calibration.identification.error_noise import (
+    RUNS_APART_MIN,
+    PoseErrorNoise,
+    estimate_noise,
+)
 from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, simulate_runs
 from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
@@ -20,7 +24,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-SETTLED_DECREASE = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas
+SETTLED_DECREASE = 0.1  # squared sigmas by which a step must promise to lower the cost
 POSE_SHARES = (
     0.15,
     0.4,
@@ -33,7 +37,6 @@ CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing sho
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
-RUNS_APART_MIN = 10  # recordings from which on their scatter tells covariances
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -87,6 +90,7 @@ class Fitter:
         self._unknowns = unknowns
         self._runs = tuple(runs)
         self._settings = settings
+        self._many = len(self._runs) >= RUNS_APART_MIN
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
@@ -160,6 +164,7 @@ class Fitter:
         """Search from somewhere, for some steps or to the end."""
         damping, settled, coarse = DAMPING_START, False, True
         errors = self._errors_at(at)
+        least = SETTLED_DECREASE * (1.0 if self._many else CORRELATED_AXES)
         for count in range(1, (steps or self._settings.iterations) + 1):
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
@@ -167,10 +172,10 @@ class Fitter:
             report(sum(map(len, errors)), *_rms(np.concatenate(errors)))
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
-            settled = self._promise(at, hessian, gradient) <= SETTLED_DECREASE
+            settled = self._promise(at, hessian, gradient) <= least
             if not settled:
                 step = self._search(at, hessian, gradient, errors, noise, damping)
-                stuck = step.decrease <= (SETTLED_DECREASE if coarse else 0.0)
+                stuck = step.decrease <= (least if coarse else 0.0)
                 at, errors, damping = step.at, step.errors, step.damping
             if settled or stuck:
                 if steps is not None or not coarse:
@@ -184,7 +189,6 @@ class Fitter:
         Many recordings tell it by themselves: one is independent of the others. In a few, scores of
         long stretches tell what lasts for less than these; what lasts longer shows in all axes.
         """
-        many = len(self._runs) >= RUNS_APART_MIN
         sums = []
         for run, own, errors, jacobian in zip(
             self._runs, self._own, state.errors, state.jacobians, strict=True
@@ -192,13 +196,13 @@ class Fitter:
             scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
             time = run.poses.time
             length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
-            edges = np.arange(0, len(scores), len(scores) if many else length)
+            edges = np.arange(0, len(scores), len(scores) if self._many else length)
             parts = np.add.reduceat(scores, edges, axis=0)
             whole = np.zeros((len(parts), len(information)))
             whole[:, own] = parts
             sums.append(whole)
         stretches = np.concatenate(sums)
-        if many:  # the score of each start has vanished with its run
+        if self._many:  # the score of each start has vanished with its run
             own = slice(self._count)
             left = self._marginal(information)
             inverse = np.linalg.inv(left + self._precision[own, own])
