@@ -33,6 +33,7 @@ TITLE = "Identification from free oscillations"
 PULLEY_RADIUS_M = 0.04
 DRAWN_SIGMAS_MAX = 2.0  # prior sigmas: no truth is drawn farther away
 FRICTION_SIGMAS = (0.7, 2.0)  # range of dry friction, in its prior sigmas
+FRICTION = ("exit_friction", "anchor_friction")
 # A robot whose geometry was surveyed and whose lengths were calibrated; winches are locked.
 SURVEYED = IdentificationSettings(
     exit_points=1e-3, anchor_points=5e-4, length_offset=2e-3, length_scale=0.0, length_delay=0.0,
@@ -70,7 +71,7 @@ def draw_plant(robot: Robot, settings: IdentificationSettings, seed: int) -> Rob
     names = unknowns.prior.names
     point = np.clip(rng.standard_normal(len(names)), -DRAWN_SIGMAS_MAX, DRAWN_SIGMAS_MAX)
     for k, name in enumerate(names):
-        if name in ("exit_friction", "anchor_friction"):
+        if name in FRICTION:
             point[k] = rng.uniform(*FRICTION_SIGMAS)
     return unknowns.robot_at(np.maximum(point, unknowns.lower))
 
@@ -118,7 +119,7 @@ def score(
     tilt = values_of(result.robot, ["pose_tilt.x", "pose_tilt.y"])
     return Score(
         frequency=max(_frequency_error(result.robot, plant, run) for run in runs),
-        friction=max(off_by("exit_friction"), off_by("anchor_friction")),
+        friction=max(off_by(name) for name in estimate.names if name in FRICTION),
         tilt=float(np.linalg.norm(tilt - values_of(plant, ["pose_tilt.x", "pose_tilt.y"]))),
         center=float(np.linalg.norm(result.robot.center_of_mass - plant.center_of_mass)),
         nees=float(off @ np.linalg.solve(covariance, off) / len(off)),
