@@ -24,6 +24,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
+MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 SETTLED_DECREASE = 0.1  # squared sigmas by which a step must promise to lower the cost
 POSE_SHARES = (
     0.15,
@@ -91,6 +92,7 @@ class Fitter:
         self._runs = tuple(runs)
         self._settings = settings
         self._many = len(self._runs) >= RUNS_APART_MIN
+        self._time_step = settings.time_step * (MANY_STEP_RATIO if self._many else 1.0)
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
@@ -208,14 +210,14 @@ class Fitter:
             inverse = np.linalg.inv(left + self._precision[own, own])
             spread = float(np.einsum("bi,ij,bj->", stretches[:, own], inverse, stretches[:, own]))
             count = len(stretches)
-            return spread * count / (count - 1) / float(np.trace(inverse @ left))
+            return max(1.0, spread * count / (count - 1) / float(np.trace(inverse @ left)))
         inverse = np.linalg.inv(information + self._precision)
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
         return CORRELATED_AXES * max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""
-        errors, good = self._simulated([at[None]] * len(self._runs), self._settings.time_step)
+        errors, good = self._simulated([at[None]] * len(self._runs), self._time_step)
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of the robot")
         return [each[0] for each in errors]
@@ -333,7 +335,7 @@ class Fitter:
         for _ in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
             points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
-            trials, good = self._simulated([points] * len(self._runs), self._settings.time_step)
+            trials, good = self._simulated([points] * len(self._runs), self._time_step)
             costs = [
                 self._cost(point, [each[k] for each in trials], noise)
                 if all(each[k] for each in good)

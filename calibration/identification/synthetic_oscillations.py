@@ -46,8 +46,8 @@ class OscillationSettings:
     count: int = 40
     duration: float = 10.0
     rate: float = 100.0
-    swing: float = Scaled(0.08, "m")
-    before: float = Scaled(2.0, "s")
+    swing: float = Scaled(0.15, "m")
+    before: float = Scaled(0.5, "s")
     workspace: float = 0.5
     position_noise: float = Scaled(1e-3, "m")
     rotation_noise: float = 1e-3
@@ -105,7 +105,7 @@ def _kicks(
             shape = modes.shape[b, :, j]
             fastest = np.linalg.norm(shape[:3] + np.cross(shape[3:], arms), axis=1).max()
             amplitude = swing * rng.uniform(KICK_SHARE_MIN, 1.0) * rng.choice([-1.0, 1.0])
-            kick += shape * amplitude * abs(modes.frequency[b, j]) / fastest
+            kick += shape * amplitude * 2.0 * np.pi * abs(modes.frequency[b, j]) / fastest
     return kicks
 
 
