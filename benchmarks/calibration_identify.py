@@ -19,6 +19,8 @@ from benchmarks.results import write_section
 from calibration import IdentificationSettings, identify, simulate_run
 from calibration.identification.open_loop import simulate
 from calibration.identification.procedure import poses_of
+from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.parameters import values_of
 
@@ -76,7 +78,8 @@ def _real() -> list[str]:
 
 def _simulated(seeds: int) -> list[str]:
     """Robots drawn from nominal-1, simulated with particles, wind and noisy sensors."""
-    robot, settings = ct.load_robot("carosac"), IdentificationSettings()
+    robot = ct.load_robot("carosac")
+    settings = resolved(IdentificationSettings(), Scales(robot).ratios)
     rows, beyond, total = [], 0, 0
     for seed in range(seeds):
         run = simulate_run(robot, seed)

@@ -12,10 +12,14 @@ from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from calibration.estimate import ParameterEstimate
-    from calibration.identification.procedure import identify
+    from calibration.identification.procedure import identify, identify_runs
     from calibration.identification.result import Identification
     from calibration.identification.settings import IdentificationSettings
     from calibration.identification.synthetic import RunSettings, SyntheticRun, simulate_run
+    from calibration.identification.synthetic_oscillations import (
+        OscillationSettings,
+        simulate_oscillations,
+    )
     from calibration.lengths.calibrate import calibrate_lengths
     from calibration.lengths.checks import MixUp
     from calibration.lengths.planning import SuggestedPoses, suggest_poses
@@ -81,6 +85,7 @@ _MODULES = {
     "MixUp": "lengths.checks",
     "MotorAngles": "self_calibration.motor_angles",
     "Observability": "observability",
+    "OscillationSettings": "identification.synthetic_oscillations",
     "ParameterEstimate": "estimate",
     "Prior": "prior",
     "ReadingBlunder": "tachymeter.result",
@@ -112,9 +117,11 @@ _MODULES = {
     "draw_survey": "tachymeter.synthetic",
     "holds_motor_angles": "self_calibration.motor_angle_files",
     "identify": "identification.procedure",
+    "identify_runs": "identification.procedure",
     "load_motor_angles": "self_calibration.motor_angle_files",
     "measure_motor_angles": "self_calibration.synthetic",
     "read_survey": "tachymeter.survey_files",
+    "simulate_oscillations": "identification.synthetic_oscillations",
     "simulate_run": "identification.synthetic",
     "suggest_poses": "lengths.planning",
     "updated": "robot_update",
@@ -139,6 +146,7 @@ __all__ = [
     "MixUp",
     "MotorAngles",
     "Observability",
+    "OscillationSettings",
     "ParameterEstimate",
     "Prior",
     "ReadingBlunder",
@@ -170,9 +178,11 @@ __all__ = [
     "draw_survey",
     "holds_motor_angles",
     "identify",
+    "identify_runs",
     "load_motor_angles",
     "measure_motor_angles",
     "read_survey",
+    "simulate_oscillations",
     "simulate_run",
     "suggest_poses",
     "updated",

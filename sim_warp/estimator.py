@@ -14,7 +14,7 @@ from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.motion.length_curve import LENGTH_SEGMENT_MAX
-from carosac_toolkit.physics.rest.held_lengths import pose_on_lengths
+from carosac_toolkit.physics.rest.held_lengths import poses_on_lengths
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.delayed_lengths import DelayedLengths
@@ -137,13 +137,11 @@ class SimulatorEstimator:
         assert simulator is not None and first.twist is not None
         rows = np.flatnonzero(record.converged)
         straight = straight_length(self._robot, belief.position, belief.rotation).length
-        poses = [
-            pose_on_lengths(self._robot, first.position[k], first.rotation[k], straight[k])
-            for k in rows
-        ]
-        if not poses:
+        if not len(rows):
             return belief
-        position, rotation = (np.array(part) for part in zip(*poses, strict=True))
+        position, rotation = poses_on_lengths(
+            self._robot, first.position[rows], first.rotation[rows], straight[rows]
+        )
         lengths = measurement.unstrained_length[rows]
         simulator.reset(
             position, rotation, unstrained_length=lengths, twist=first.twist[rows], worlds=rows

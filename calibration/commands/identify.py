@@ -1,11 +1,12 @@
-"""Fit the simulated dynamics to a recording with poses: a robot that moves as measured.
+"""Fit the simulated dynamics to recordings with poses: a robot that moves as measured.
 
 The simulator runs open loop through the recorded lengths; centre of mass, inertia, damping,
 stiffness, delay, and geometry within what the robot file knows of it, are fitted to the poses of
 the samples of --train. The recording may begin in motion, as a free oscillation with locked winches
 does: the first pose and speed of a platform on fewer than six cables are fitted too. Samples of
---test are scored only. Prints what was learnt and what the data cannot tell, and writes a report
-and, with --output, a new robot file.
+--test are scored only. Several recordings of one robot are fitted together, each with a start of
+its own; those of --held-out are scored only. Prints what was learnt and what the data cannot tell,
+and writes a report and, with --output, a new robot file.
 
 Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
 on the samples kept back. No robot file is written if a platform that stands still would predict
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +25,7 @@ from typing import Annotated
 import tyro
 
 from calibration.identification.effects import remaining_effects
-from calibration.identification.procedure import identify
+from calibration.identification.procedure import identify, identify_runs
 from calibration.identification.report import report_content
 from calibration.identification.result import Identification
 from calibration.report import (
@@ -45,7 +47,16 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.residual_effects import ResidualEffects
 
 Range = tuple[int, int]
-COMMAND_OPTIONS = ("recording", "robot", "train", "test", "report", "json", "seed")  # as resolved
+COMMAND_OPTIONS = (
+    "recordings",
+    "held_out",
+    "robot",
+    "train",
+    "test",
+    "report",
+    "json",
+    "seed",
+)  # as resolved
 _TRAIN_SHARE_DEFAULT = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
 
 
@@ -53,16 +64,21 @@ _TRAIN_SHARE_DEFAULT = 2.0 / 3.0  # of the samples that are fitted, where nothin
 class Options(CommonOptions):
     """Options of ``carosac identify``."""
 
-    recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
-    """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file, with poses."""
+    recordings: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING [RECORDING ...]")
+    ]
+    """Bundled recordings such as `synthetic`, or .parquet, .csv or .mat files, with poses."""
+    held_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="RECORDING [RECORDING ...]")] = ()
+    """Recordings that are scored only; nothing but their first motion is fitted to them."""
     robot: str | None = None
     """Robot at the start of the search, bundled or a YAML file, best a calibrated one; by default
-    the one that the recording names, or else the bundled one with its exit points."""
+    the one that the first recording names, or else the bundled one with its exit points."""
     train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
-    """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
-    simulation always begins at sample 0, at rest or in motion."""
+    """Of one recording: length samples START <= i < STOP whose poses are fitted; by default the
+    first two thirds, or all of them with --held-out. The simulation always begins at sample 0, at
+    rest or in motion. Several recordings are fitted as a whole."""
     test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
-    """Samples that are scored only; by default all after those of --train."""
+    """Of one recording: samples that are scored only; by default all after those of --train."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; never over the old one."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -71,40 +87,55 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Identify a robot."""
-    path = find_recording(options.recording)
-    recording = load_recording(path)
-    robot_source = find_robot(recording, path, options.robot)
+    if not options.recordings:
+        raise InvalidField("RECORDING", "none", "at least one recording")
+    given = (*options.recordings, *options.held_out)
+    paths = [find_recording(name) for name in given]
+    _check_given(paths)
+    recordings = [load_recording(path) for path in paths]
+    robot_source = find_robot(recordings[0], paths[0], options.robot)
     check_output("--output", options.output, robot_source.name)
-    folder = options.report or _default_folder(path, robot_source)
+    folder = options.report or _default_folder(paths, robot_source)
     check_folder("--report", folder)
-    train, test = _ranges(options, recording)
-    result = identify(
-        recording, robot_source.robot, train=train, test=test, report=_Steps(robot_source.robot)
-    )
-    effects = remaining_effects(recording, result)
+    names = [path.name for path in paths]
+    steps = _Steps(robot_source.robot)
+    if len(given) == 1:
+        train, test = _ranges(options, recordings[0])
+        result = identify(recordings[0], robot_source.robot, train=train, test=test, report=steps)
+        ranges = ["--train", f"{train[0]}:{train[1]}"]
+        ranges += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
+        fitted = f"samples {train[0]}:{train[1]} of {names[0]}"
+    else:
+        _refuse_ranges(options)
+        count = len(options.recordings)
+        result = identify_runs(
+            recordings[:count], robot_source.robot, held_out=recordings[count:], names=names,
+            report=steps,
+        )  # fmt: skip
+        ranges = ["--held-out", *options.held_out] if options.held_out else []
+        fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
+    worst = result.worst
+    effects = remaining_effects(recordings[worst], result, result.runs[worst])
     print()
     _print(result, effects)
     command = [
-        "carosac", "identify", options.recording, "--robot", robot_source.name,
-        "--train", f"{train[0]}:{train[1]}",
-        *([] if test is None else ["--test", f"{test[0]}:{test[1]}"]),
+        "carosac", "identify", *options.recordings, "--robot", robot_source.name, *ranges,
         *option_words(options, COMMAND_OPTIONS),
     ]  # fmt: skip
     files = write_report(
         folder,
         f"Identification of {result.robot.name}",
         result,
-        report_content(result, recording, effects),
-        provenance=_provenance(options, recording, robot_source),
+        report_content(result, recordings, effects),
+        provenance=_provenance(given, recordings, robot_source),
         command=command,
     )
     print(f"\nreport: {files[-1]}, pictures beside it")
-    name = Path(options.recording).name
     output = None if result.against_mean.useless else options.output
     write_new_robot(
         result, robot_source.name, output,
         name=output.stem if output else None,
-        provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
+        provenance=f"carosac identify, {fitted}",
     )  # fmt: skip
     if output != options.output:
         print(f"\nno robot file was written: {options.output} would be of no use")
@@ -112,12 +143,29 @@ def run(options: Options) -> CommandResult:
     for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)
     data = {
-        "recording": options.recording,
+        "recording": list(given) if len(given) > 1 else given[0],
         "robot": robot_source.name,
         **result.data(),
         "effects": None if effects is None else effects.data(),
     }
     return CommandResult(data, status=1 if result.warnings else 0)
+
+
+def _check_given(paths: Sequence[Path]) -> None:
+    """Refuse a recording that is given twice."""
+    seen: set[Path] = set()
+    for path in paths:
+        if path.resolve() in seen:
+            raise InvalidField("RECORDING", str(path), "each recording once")
+        seen.add(path.resolve())
+
+
+def _refuse_ranges(options: Options) -> None:
+    """Refuse ranges of samples beside several recordings."""
+    for name in ("train", "test"):
+        if (value := getattr(options, name)) is not None:
+            allowed = "only with one recording; several are fitted as a whole, see --held-out"
+            raise InvalidField(f"--{name}", repr(value), allowed)
 
 
 class _Steps:
@@ -166,17 +214,20 @@ def _range(name: str, text: str, count: int) -> Range:
     return int(match[1] or 0), int(match[2] or count)
 
 
-def _default_folder(path: Path, robot_source: FoundRobot) -> Path:
+def _default_folder(paths: Sequence[Path], robot_source: FoundRobot) -> Path:
     """Return the folder of a report for which none was given."""
-    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{robot_source.robot.name}")
+    more = f"-and-{len(paths) - 1}-more" if len(paths) > 1 else ""
+    name = re.sub(r"[^\w.-]+", "_", f"{paths[0].stem}{more}-{robot_source.robot.name}")
     return Path("carosac-results") / "identify" / name
 
 
-def _provenance(options: Options, recording: Recording, robot_source: FoundRobot) -> dict[str, str]:
+def _provenance(
+    given: Sequence[str], recordings: Sequence[Recording], robot_source: FoundRobot
+) -> dict[str, str]:
     """Return the inputs by name."""
-    metadata = recording.metadata
+    metadata = recordings[0].metadata
     return {
-        "recording": options.recording,
+        "recording" if len(given) == 1 else "recordings": ", ".join(given),
         "description": metadata.description,
         "source": metadata.source,
         "licence": metadata.licence,

@@ -9,6 +9,7 @@ use the data better, but explains a mistuned mode of the robot as noise just as 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from carosac_toolkit.base.arrays import Array
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
 # cables without inertia make an error of this size whatever the parameters are.
 SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
+RUNS_APART_MIN = 10  # recordings from which on their own scatter tells how large errors are
+MANY_SIGMA_SHARE = 0.1  # of the least sigma, where many recordings tell it
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
@@ -46,22 +49,26 @@ class PoseErrorNoise:
         return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
 
-def estimate_noise(errors: Array) -> PoseErrorNoise:
-    """Estimate the noise from errors, shape (K, 6)."""
-    typical = np.median(np.abs(errors), axis=0) / NORMAL_MEDIAN
-    rms = np.sqrt((errors**2).mean(axis=0))
+def estimate_noise(errors: Sequence[Array]) -> PoseErrorNoise:
+    """Estimate the noise from errors of each run, shape (K, 6)."""
+    together = np.concatenate(errors)
+    typical = np.median(np.abs(together), axis=0) / NORMAL_MEDIAN
+    rms = np.sqrt((together**2).mean(axis=0))
+    least = SIGMA_MIN if len(errors) < RUNS_APART_MIN else MANY_SIGMA_SHARE * SIGMA_MIN
     return PoseErrorNoise(
-        sigma=np.maximum(SIGMA_MIN, np.minimum(rms, 1.5 * typical)),
-        repeats=np.array([_repeats(part) for part in errors.T]),
+        sigma=np.maximum(least, np.minimum(rms, 1.5 * typical)),
+        repeats=np.array([_repeats([run[:, k] for run in errors]) for k in range(6)]),
     )
 
 
-def _repeats(errors: Array) -> float:
-    """Return how many of some errors (K,) count as one; rather too many in a short record."""
-    count = len(errors)
-    longest = max(1, int(LAG_MAX_SHARE * count))
-    spectrum = np.fft.rfft(errors, 2 * count)
-    power = np.fft.irfft(np.abs(spectrum) ** 2)[:longest]
+def _repeats(errors: Sequence[Array]) -> float:
+    """Return how many of some errors (K,) of each run count as one; rather too many in few."""
+    total = sum(map(len, errors))
+    longest = max(1, int(LAG_MAX_SHARE * max(map(len, errors))))
+    power = np.zeros(longest)
+    for each in errors:
+        own = np.fft.irfft(np.abs(np.fft.rfft(each, 2 * len(each))) ** 2)[: len(each)]
+        power[: len(own)] += own[:longest]
     correlation = power / power[0]
-    chance = 1.0 / count  # square of what white noise shows
+    chance = 1.0 / total  # square of what white noise shows
     return 1.0 + 2.0 * float(np.maximum(correlation[1:] ** 2 - chance, 0.0).sum())

@@ -1,27 +1,31 @@
-"""Gauss-Newton on coordinates of a robot; one batch of worlds gives errors and Jacobian."""
+"""Gauss-Newton on coordinates of a robot; one batch of worlds a run gives errors and Jacobian."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.identification.error_noise import PoseErrorNoise, estimate_noise
-from calibration.identification.measured_poses import MeasuredPoses
-from calibration.identification.open_loop import OpenLoop, OpenLoopStart, simulate
+from calibration.identification.error_noise import (
+    RUNS_APART_MIN,
+    PoseErrorNoise,
+    estimate_noise,
+)
+from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, simulate_runs
+from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.sway import FreeSway
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-SETTLED_DECREASE = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas
+MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
+SETTLED_DECREASE = 0.1  # squared sigmas by which a step must promise to lower the cost
 POSE_SHARES = (
     0.15,
     0.4,
@@ -30,7 +34,10 @@ POSE_SHARES = (
 STEPS_PER_SHARE = 4  # for each share but the last
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
-CORRELATED_AXES = 6.0  # axes that count as one in covariances: one swing shows in all of them
+CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
+COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
+STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
+# make steps too short
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -46,7 +53,7 @@ class CoordinateFit:
         covariance: shape (k, k); the unknown start is taken into account.
         information: Fisher information of the data alone, shape (k, k), less what the unknown start
             takes from it.
-        start: Coordinates of the sway at the start, shape (2 m,).
+        starts: Coordinates of the sway at the start of each run, shape (2 m,).
         excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
         converged: True if the last step was small.
@@ -55,7 +62,7 @@ class CoordinateFit:
     coordinates: Array
     covariance: Array
     information: Array
-    start: Array
+    starts: tuple[Array, ...]
     excess: float
     iterations: int
     converged: bool
@@ -67,31 +74,42 @@ class Fitter:
     def __init__(
         self,
         unknowns: Coordinates,
-        path: LengthPath,
-        poses: MeasuredPoses,
-        sway: FreeSway,
+        runs: Sequence[FittedRun],
         settings: IdentificationSettings,
+        *,
+        robot_at: Array | None = None,
     ) -> None:
         """Take the data.
 
         Args:
-            unknowns: k coordinates.
-            path: Readings.
-            poses: Measured ones to be fitted.
-            sway: Unknown motion at the start, beside the k coordinates.
+            unknowns: k coordinates of the robot, beside which the start of each run is unknown.
+            runs: Recordings.
             settings: Settings of the computation.
+            robot_at: Coordinates (k,) at which the robot is held, so that only the starts of the
+                runs are searched; None: they are searched too.
         """
         self._unknowns = unknowns
-        self._path = path
-        self._poses = poses
+        self._runs = tuple(runs)
         self._settings = settings
-        self._sway = sway
+        self._many = len(self._runs) >= RUNS_APART_MIN
+        self._time_step = settings.time_step * (MANY_STEP_RATIO if self._many else 1.0)
         self._count = len(unknowns.prior.names)
-        loose = len(sway.guess)
-        self._names = (*unknowns.prior.names, *sway.names)
+        sizes = [len(run.sway.guess) for run in runs]
+        edges = self._count + np.cumsum([0, *sizes])
+        self._own = [
+            np.concatenate([np.arange(self._count), np.arange(a, b)]) for a, b in pairwise(edges)
+        ]  # rows of the coordinates that each run depends on
+        loose = sum(sizes)
+        self._names = [*unknowns.prior.names, *(name for run in runs for name in run.sway.names)]
         self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
         self._precision = block_diag(unknowns.prior.information, np.eye(loose))
+        self._first = np.concatenate(
+            [unknowns.prior.mean if robot_at is None else robot_at]
+            + [run.sway.guess for run in runs]
+        )
+        self._searched = np.ones(len(self._first), dtype=np.bool_)
+        self._searched[: self._count] = robot_at is None
 
     def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
@@ -103,30 +121,39 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        at = np.concatenate([self._unknowns.prior.mean, self._sway.guess])
-        whole = self._poses
+        at = self._first
+        whole = self._runs
         for share in POSE_SHARES:
-            self._poses = whole.rows(np.arange(round(share * len(whole.time))))
-            at, count, settled = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
-        errors, jacobian = self._linearised(at)
-        noise = estimate_noise(errors)
-        information, _ = self._normal(at, errors, jacobian, noise)
-        excess = self._excess(errors, jacobian, noise, information)
+            self._runs = tuple(run.first(share) for run in whole)
+            state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
+            at = state.at
+        noise = estimate_noise(state.errors)
+        information, _ = self._normal(at, state.errors, state.jacobians, noise)
+        excess = self._excess(state, noise, information)
         own = slice(self._count)
         inverse = np.linalg.inv(information + self._precision)
-        scores = CORRELATED_AXES * excess * information  # as they vary, beside the prior
+        scores = excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
-        information /= CORRELATED_AXES * excess
+        information /= excess
         return CoordinateFit(
             coordinates=at[own],
             covariance=np.asarray(covariance[own, own], float),
             information=self._marginal(information),
-            start=at[self._count :],
+            starts=self._starts(at),
             excess=excess,
-            iterations=count,
-            converged=settled,
+            iterations=state.count,
+            converged=state.settled,
         )
+
+    def starts(self) -> tuple[Array, ...]:
+        """Search for the starts of the runs alone, without a report."""
+        state = self._settle(self._first, None, lambda poses, position, rotation: None)
+        return self._starts(state.at)
+
+    def _starts(self, at: Array) -> tuple[Array, ...]:
+        """Return the coordinates of each start."""
+        return tuple(at[own[self._count :]] for own in self._own)
 
     def _marginal(self, information: Array) -> Array:
         """Return what is left for the robot of an information (Schur complement), (k, k)."""
@@ -135,127 +162,268 @@ class Fitter:
         cross = information[own, start]
         return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
 
-    def _settle(
-        self, at: Array, steps: int | None, report: ProgressCallback
-    ) -> tuple[Array, int, bool]:
-        """Search from somewhere, for some steps or to the end.
-
-        Returns:
-            Where it ended, after how many steps, and whether it settled.
-        """
-        damping, settled = DAMPING_START, False
+    def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
+        """Search from somewhere, for some steps or to the end."""
+        damping, settled, coarse = DAMPING_START, False, True
+        errors = self._errors_at(at)
+        least = SETTLED_DECREASE * (1.0 if self._many else CORRELATED_AXES)
         for count in range(1, (steps or self._settings.iterations) + 1):
-            errors, jacobian = self._linearised(at)
+            jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = estimate_noise(errors)
-            report(len(errors), *_rms(errors))
-            information, gradient = self._normal(at, errors, jacobian, noise)
+            report(sum(map(len, errors)), *_rms(np.concatenate(errors)))
+            information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
-            settled = self._promise(at, hessian, gradient) <= SETTLED_DECREASE
-            if settled and count > NOISE_UPDATES_MAX:
-                break
-            at, damping = self._search(at, hessian, gradient, noise.cost(errors), noise, damping)
-        return at, count, settled
+            settled = self._promise(at, hessian, gradient) <= least
+            if not settled:
+                step = self._search(at, hessian, gradient, errors, noise, damping)
+                stuck = step.decrease <= (least if coarse else 0.0)
+                at, errors, damping = step.at, step.errors, step.damping
+            if settled or stuck:
+                if steps is not None or not coarse:
+                    break
+                coarse = False
+        return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def _excess(
-        self, errors: Array, jacobian: Array, noise: PoseErrorNoise, information: Array
-    ) -> float:
-        """Return by how much scores of long stretches vary more than independent ones, >= 1."""
-        scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
-        length = max(
-            1, int(np.searchsorted(self._poses.time, self._poses.time[0] + SCORE_STRETCH_S))
-        )
-        edges = np.arange(0, len(scores), length)
-        sums = np.add.reduceat(scores, edges, axis=0)
+    def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:
+        """Return by how much scores vary more than independent ones.
+
+        Many recordings tell it by themselves: one is independent of the others. In a few, scores of
+        long stretches tell what lasts for less than these; what lasts longer shows in all axes.
+        """
+        sums = []
+        for run, own, errors, jacobian in zip(
+            self._runs, self._own, state.errors, state.jacobians, strict=True
+        ):
+            scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
+            time = run.poses.time
+            length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
+            edges = np.arange(0, len(scores), len(scores) if self._many else length)
+            parts = np.add.reduceat(scores, edges, axis=0)
+            whole = np.zeros((len(parts), len(information)))
+            whole[:, own] = parts
+            sums.append(whole)
+        stretches = np.concatenate(sums)
+        if self._many:  # the score of each start has vanished with its run
+            own = slice(self._count)
+            left = self._marginal(information)
+            inverse = np.linalg.inv(left + self._precision[own, own])
+            spread = float(np.einsum("bi,ij,bj->", stretches[:, own], inverse, stretches[:, own]))
+            count = len(stretches)
+            return max(1.0, spread * count / (count - 1) / float(np.trace(inverse @ left)))
         inverse = np.linalg.inv(information + self._precision)
-        spread = float(np.einsum("bi,ij,bj->", sums, inverse, sums))
-        return max(1.0, spread / float(np.trace(inverse @ information)))
+        spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
+        return CORRELATED_AXES * max(1.0, spread / float(np.trace(inverse @ information)))
 
-    def _simulated(self, points: Array) -> tuple[OpenLoop, NDArray[np.bool_]]:
-        """Simulate robots at coordinates (B, k + 2 m); return motions, and which robots exist."""
-        robots: list[Robot] = []
-        exists = np.ones(len(points), dtype=np.bool_)
-        for k, point in enumerate(points):
+    def _errors_at(self, at: Array) -> list[Array]:
+        """Return the errors of each run (K, 6)."""
+        errors, good = self._simulated([at[None]] * len(self._runs), self._time_step)
+        if not all(each.all() for each in good):
+            raise CarosacError("identification: no finite motion of the robot")
+        return [each[0] for each in errors]
+
+    def _simulated(
+        self, points: Sequence[Array], time_step: float
+    ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Simulate robots at coordinates, for each run of its own.
+
+        Args:
+            points: Of each run, shape (B, all coordinates).
+            time_step: At most [s].
+
+        Returns:
+            Of each run: errors (B, K, 6), and which robots exist and have a finite motion (B,).
+        """
+        known: dict[bytes, Robot | None] = {}
+        jobs, exists = [], []
+        for run, own, each in zip(self._runs, self._own, points, strict=True):
+            robots = [self._robot(point[: self._count], known) for point in each]
+            exists.append(np.array([robot is not None for robot in robots]))
+            start = OpenLoopStart(sway=run.sway, coordinates=each[:, own[self._count :]])
+            jobs.append(
+                OpenLoopRun(
+                    robots=[robot or self._unknowns.robot for robot in robots],
+                    path=run.path,
+                    time=run.poses.time,
+                    start=start,
+                )
+            )
+        errors = []
+        for k, motion in enumerate(simulate_runs(jobs, time_step=time_step)):
+            seen = motion.seen_by(self._unknowns.robot, jobs[k].robots)
+            exists[k] &= ~motion.failed
+            errors.append(
+                np.array([
+                    self._runs[k].poses.errors(seen.position[:, b], seen.rotation[:, b])
+                    for b in range(len(points[k]))
+                ])
+            )  # fmt: skip
+        return errors, exists
+
+    def _robot(self, coordinates: Array, known: dict[bytes, Robot | None]) -> Robot | None:
+        """Return the robot of some coordinates (k,), made once; None where there is none."""
+        key = coordinates.tobytes()
+        if key not in known:
             try:
-                robots.append(self._unknowns.robot_at(point[: self._count]))
+                known[key] = self._unknowns.robot_at(coordinates)
             except InvalidField:
-                robots.append(self._unknowns.robot)
-                exists[k] = False
-        start = OpenLoopStart(sway=self._sway, coordinates=points[:, self._count :])
-        motion = simulate(
-            robots, self._path, self._poses.time, time_step=self._settings.time_step, start=start
-        )
-        return motion.seen_by(self._unknowns.robot, robots), exists & ~motion.failed
+                known[key] = None
+        return known[key]
 
-    def _linearised(self, at: Array) -> tuple[Array, Array]:
-        """Return the errors (K, 6) and their Jacobian (K, 6, k + 2 m)."""
-        motion, good = self._simulated(
-            np.vstack([at, at + FINITE_DIFFERENCE_STEP * np.eye(len(at))])
+    def _jacobians(self, at: Array, *, coarse: bool) -> list[Array]:
+        """Return the derivatives of each run's errors (K, 6) by what it depends on, (K, 6, p).
+
+        Coarse ones come from longer time steps: half the work, and the same within a percent or so.
+        That leads to where the search ends within a sigma, and exact ones lead to its end.
+        """
+        ratio = COARSE_STEP_RATIO if coarse else 1.0
+        steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
+        varied = [own[self._searched[own]] for own in self._own]
+        errors, good = self._simulated(
+            [np.vstack([at, at + steps[rows]]) for rows in varied],
+            ratio * self._settings.time_step,
         )
-        if not good.all():
-            row = int(np.argmin(good))
-            beside = f" with another {self._names[row - 1]}" if row else ""
-            raise CarosacError(f"identification: no finite motion of the robot{beside}")
-        errors = [
-            self._poses.errors(motion.position[:, k], motion.rotation[:, k])
-            for k in range(len(at) + 1)
-        ]
-        return errors[0], np.stack(
-            [(error - errors[0]) / FINITE_DIFFERENCE_STEP for error in errors[1:]], axis=2
-        )
+        jacobians = []
+        for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
+            if not sound.all():
+                row = int(np.argmin(sound))
+                beside = f" with another {self._names[rows[row - 1]]}" if row else ""
+                raise CarosacError(f"identification: no finite motion of the robot{beside}")
+            jacobian = np.zeros((*each.shape[1:], len(own)))
+            slopes = (each[1:] - each[0]) / FINITE_DIFFERENCE_STEP
+            jacobian[:, :, self._searched[own]] = np.moveaxis(slopes, 0, 2)
+            jacobians.append(jacobian)
+        return jacobians
 
     def _normal(
-        self, at: Array, errors: Array, jacobian: Array, noise: PoseErrorNoise
+        self,
+        at: Array,
+        errors: Sequence[Array],
+        jacobians: Sequence[Array],
+        noise: PoseErrorNoise,
     ) -> tuple[Array, Array]:
         """Return the information of the data, and the gradient with the prior."""
-        weights = noise.weights(errors)
-        information = np.einsum("nci,nc,ncj->ij", jacobian, weights, jacobian)
-        pull = np.einsum("nci,nc->i", jacobian, weights * errors)
-        return information, pull + self._precision @ at
+        information = np.zeros_like(self._precision)
+        gradient = self._precision @ at
+        for own, error, jacobian in zip(self._own, errors, jacobians, strict=True):
+            weights = noise.weights(error).reshape(-1, 1)
+            flat = jacobian.reshape(-1, len(own))
+            information[np.ix_(own, own)] += flat.T @ (weights * flat)
+            gradient[own] += flat.T @ (weights[:, 0] * error.ravel())
+        return information, gradient
+
+    def _cost(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
+        """Return the cost of errors of all runs, with the prior."""
+        data = sum(noise.cost(each) for each in errors)
+        return float(data + at @ self._precision @ at)
 
     def _search(
         self,
         at: Array,
         hessian: Array,
         gradient: Array,
-        cost: float,
+        errors: list[Array],
         noise: PoseErrorNoise,
         damping: float,
-    ) -> tuple[Array, float]:
-        """Search a Levenberg-Marquardt step that lowers the cost; return its end and damping.
+    ) -> _Step:
+        """Search a Levenberg-Marquardt step that lowers the cost.
 
         Returns:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
         """
-        lowest = cost + float(at @ self._precision @ at)
+        lowest = self._cost(at, errors, noise)
         for _ in range(DAMPING_TRIES_MAX):
-            point = self._stepped(at, hessian, gradient, damping)
-            motion, good = self._simulated(point[None])
-            errors = self._poses.errors(motion.position[:, 0], motion.rotation[:, 0])
-            trial = noise.cost(errors) + float(point @ self._precision @ point)
-            if good[0] and trial < lowest:
-                return point, max(damping / 8.0, 1e-6)
+            step = self._step(at, hessian, gradient, damping)
+            points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
+            trials, good = self._simulated([points] * len(self._runs), self._time_step)
+            costs = [
+                self._cost(point, [each[k] for each in trials], noise)
+                if all(each[k] for each in good)
+                else np.inf
+                for k, point in enumerate(points)
+            ]
+            best = int(np.argmin(costs))
+            if costs[best] < lowest:
+                return _Step(
+                    at=points[best],
+                    errors=[each[best] for each in trials],
+                    damping=max(damping / 8.0, 1e-6),
+                    decrease=lowest - costs[best],
+                )
             damping *= 5.0
-        return at, DAMPING_START
-
-    def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
-        """Return the coordinates that are not held at their bound."""
-        return np.asarray(~((at <= self._lower + 1e-9) & (gradient > 0.0)))
+        return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""
-        free = self._free(at, gradient)
-        inverse = np.linalg.inv(hessian[np.ix_(free, free)])
-        return float(gradient[free] @ inverse @ gradient[free])
+        step = self._bounded(at, hessian, gradient)
+        return float(-(2.0 * gradient + hessian @ step) @ step)
 
-    def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
-        """Return the end of a damped step; coordinates that would leave their bound stay on it."""
-        lower, free = self._lower, self._free(at, gradient)
-        stiff = hessian + damping * np.diag(np.diag(hessian))
-        step = np.zeros(len(at))
-        step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
+    def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
+        """Return a damped step."""
+        step = self._bounded(at, hessian + damping * np.diag(np.diag(hessian)), gradient)
         longest = float(np.abs(step / self._sigma).max())
-        return np.asarray(np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower))
+        return np.asarray(step * min(1.0, STEP_MAX_SIGMAS / max(longest, STEP_MAX_SIGMAS)))
+
+    def _bounded(self, at: Array, hessian: Array, gradient: Array) -> Array:
+        """Return the step to the least of a quadratic cost that keeps coordinates in their bounds.
+
+        Coordinates that would leave their bound stop there, one set after another, and the others
+        step as is best beside that.
+        """
+        room = self._lower - at
+        step, free = np.zeros(len(at)), self._searched.copy()
+        while free.any():
+            pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
+            step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], pull)
+            leaves = free & (step < room)
+            if not leaves.any():
+                break
+            step[leaves] = room[leaves]
+            free &= ~leaves
+        return step
+
+    def _moved(self, at: Array, step: Array) -> Array:
+        """Return the end of a step; coordinates that would leave their bound stay on it."""
+        moved = at + step
+        own = slice(self._count)
+        moved[own] = self._unknowns.moved(at[own], step[own])
+        return np.asarray(np.maximum(moved, self._lower))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Step:
+    """End of a step.
+
+    Attributes:
+        at: All coordinates there.
+        errors: Of each run, shape (K, 6).
+        damping: To begin the next one with.
+        decrease: Of the cost.
+    """
+
+    at: Array
+    errors: list[Array]
+    damping: float
+    decrease: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Search:
+    """End of a search.
+
+    Attributes:
+        at: All coordinates there.
+        errors: Of each run, shape (K, 6).
+        jacobians: Of each run, where the last step began, shape (K, 6, p).
+        count: Steps.
+        settled: True if the last one promised little.
+    """
+
+    at: Array
+    errors: list[Array]
+    jacobians: list[Array]
+    count: int
+    settled: bool
 
 
 def _rms(errors: Array) -> tuple[float, float]:

@@ -7,8 +7,12 @@ particles grow differently in robots that differ by a millionth, and no derivati
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +20,22 @@ from numpy.typing import NDArray
 from calibration.identification.sway import FreeSway, swaying_states
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion.winch import lagging_lengths
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.parameters import turn_between
 from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
-LENGTH_GRID_S = 0.05  # [s]: lengths go straight over no longer time
+LENGTH_GRID = Scaled(0.05, "s", most=0.05)  # lengths go straight over no longer time
 TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
+WORLDS_PER_THREAD_MIN = 16  # fewer worlds are not worth a thread of their own
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,6 +75,23 @@ class OpenLoopStart:
     coordinates: Array
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenLoopRun:
+    """B robots that wind on as one recording says.
+
+    Attributes:
+        robots: B robots.
+        path: Readings.
+        time: When to look, increasing, not before the first reading, shape (K,).
+        start: Sway at the first reading; None: at rest.
+    """
+
+    robots: Sequence[Robot]
+    path: LengthPath
+    time: Array
+    start: OpenLoopStart | None = None
+
+
 def first_equilibrium(robot: Robot, path: LengthPath) -> Equilibrium:
     """Return where a robot hangs at rest on the first lengths.
 
@@ -88,12 +113,7 @@ def simulate(
     time_step: float,
     start: OpenLoopStart | None = None,
 ) -> OpenLoop:
-    """Let platforms hang on the first lengths, and wind on as recorded; each is seen in its own W.
-
-    They start displaced from the equilibrium and with a speed as `start` says, and move with the
-    winches; without it they start at rest.
-
-    What each robot says of its length sensors turns readings into lengths, late by their delay.
+    """Simulate robots on one recording; see `simulate_runs`.
 
     Args:
         robots: B robots.
@@ -105,33 +125,262 @@ def simulate(
     Raises:
         CarosacError: The first robot cannot hang on the first lengths.
     """
-    size, count = len(robots), len(time)
-    grid = np.arange(path.first, time[-1], LENGTH_GRID_S)
-    when = np.unique(np.concatenate([grid, time]))
-    when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
-    lengths = _lengths(robots, path, when)
-    simulator = Simulator(robots, cables="catenary", time_step=time_step)
-    hangs = _hang(simulator, lengths[0])
-    if start is not None:
+    run = OpenLoopRun(robots=robots, path=path, time=time, start=start)
+    return simulate_runs([run], time_step=time_step)[0]
+
+
+def simulate_runs(runs: Sequence[OpenLoopRun], *, time_step: float) -> list[OpenLoop]:
+    """Let platforms hang on the first lengths, and wind on as recorded; each is seen in its own W.
+
+    They start displaced from the equilibrium and with a speed as `start` says, and move with the
+    winches; without it they start at rest. What each robot says of its length sensors turns
+    readings into lengths, late by their delay. Runs that are sampled alike share a batch of worlds,
+    and the batch is divided among the processor's cores.
+
+    Args:
+        runs: R runs, each with robots of its own.
+        time_step: Of the simulator, at most [s].
+
+    Returns:
+        One motion a run.
+
+    Raises:
+        CarosacError: The first robot of a run cannot hang on the first lengths.
+    """
+    drives = [_Drive.of(run) for run in runs]
+    motions: list[OpenLoop | None] = [None] * len(runs)
+    for members in _alike(drives):
+        together = _simulate_alike([runs[r] for r in members], [drives[r] for r in members],
+                                   time_step)  # fmt: skip
+        for r, motion in zip(members, together, strict=True):
+            motions[r] = motion
+    return [motion for motion in motions if motion is not None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Drive:
+    """Lengths of B worlds at M times.
+
+    Attributes:
+        when: Since the first reading [s], shape (M,).
+        rows: Which of them are looked at, shape (K,).
+        lengths: Unstrained [m], shape (M, B, n).
+    """
+
+    when: Array
+    rows: NDArray[np.int64]
+    lengths: Array
+
+    @classmethod
+    def of(cls, run: OpenLoopRun) -> _Drive:
+        """Return the lengths of a run."""
+        first = run.path.first
+        seen = run.time - first
+        when = _evenly(seen, LENGTH_GRID.of(Scales(run.robots[0]).ratios))
+        return cls(
+            when=when,
+            rows=np.searchsorted(when, seen - TIME_ROUNDING_S),
+            lengths=_lengths(run.robots, run.path, first + when),
+        )
+
+    def continues(self, other: _Drive) -> bool:
+        """Return True if the times begin with those of another one."""
+        count = len(other.when)
+        if len(self.when) < count:
+            return False
+        return bool(np.abs(self.when[:count] - other.when).max() <= TIME_ROUNDING_S)
+
+    def held(self, count: int) -> Array:
+        """Return lengths at `count` times, held after the last."""
+        missing = count - len(self.when)
+        return np.concatenate([self.lengths, np.repeat(self.lengths[-1:], missing, axis=0)])
+
+
+def _evenly(seen: Array, step: float) -> Array:
+    """Return times from 0 on (M,) that divide the intervals of others (K,) evenly.
+
+    Intervals of very different lengths would end the memory of the integrator, and damp the motion.
+    """
+    edges = np.concatenate([[0.0], seen])
+    parts = [
+        np.linspace(a, b, int(np.ceil((b - a) / step - TIME_ROUNDING_S)), endpoint=False)
+        for a, b in pairwise(edges)
+        if b - a > TIME_ROUNDING_S
+    ]
+    return np.concatenate([*parts, seen[-1:]])
+
+
+def _alike(drives: Sequence[_Drive]) -> list[list[int]]:
+    """Return groups of drives whose times begin alike, the longest first."""
+    groups: list[list[int]] = []
+    for r in sorted(range(len(drives)), key=lambda r: -len(drives[r].when)):
+        for group in groups:
+            if drives[group[0]].continues(drives[r]):
+                group.append(r)
+                break
+        else:
+            groups.append([r])
+    return groups
+
+
+def _simulate_alike(
+    runs: Sequence[OpenLoopRun], drives: Sequence[_Drive], time_step: float
+) -> list[OpenLoop]:
+    """Simulate runs whose times begin alike, the longest first."""
+    when = drives[0].when
+    robots = [robot for run in runs for robot in run.robots]
+    lengths = np.concatenate([drive.held(len(when)) for drive in drives], axis=1)
+    edges = np.cumsum([0] + [len(run.robots) for run in runs])
+    starts = _Starts.of(runs, robots, lengths[: min(2, len(when))], when)
+    looked = np.unique(np.concatenate([drive.rows for drive in drives]))
+    chunks = [
+        _Worlds(
+            [robots[b] for b in rows], np.ascontiguousarray(lengths[:, rows]), starts.rows(rows),
+            time_step,
+        )
+        for rows in np.array_split(np.arange(len(robots)), _threads(len(robots)))
+    ]  # fmt: skip
+    with ThreadPoolExecutor(len(chunks)) as pool:
+        parts = list(pool.map(lambda chunk: chunk.wind(when, looked), chunks))
+    position = np.concatenate([part.position for part in parts], axis=1)
+    rotation = np.concatenate([part.rotation for part in parts], axis=1)
+    failed = np.concatenate([part.failed for part in parts])
+    motions = []
+    for k, drive in enumerate(drives):
+        seen, own = np.searchsorted(looked, drive.rows), slice(edges[k], edges[k + 1])
+        motions.append(
+            OpenLoop(position=position[seen, own], rotation=rotation[seen, own], failed=failed[own])
+        )
+    return motions
+
+
+def _threads(worlds: int) -> int:
+    """Return among how many cores worlds are divided."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, min(cores or 1, worlds // WORLDS_PER_THREAD_MIN))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Starts:
+    """Where B worlds start.
+
+    Attributes:
+        hangs: True where a world hangs at rest on its first lengths, shape (B,).
+        moves: True where it starts from the pose and twist given here, shape (B,).
+        position: [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+        twist: Shape (B, 6).
+    """
+
+    hangs: NDArray[np.bool_]
+    moves: NDArray[np.bool_]
+    position: Array
+    rotation: Array
+    twist: Array
+
+    @classmethod
+    def of(
+        cls, runs: Sequence[OpenLoopRun], robots: Sequence[Robot], lengths: Array, when: Array
+    ) -> _Starts:
+        """Find where worlds hang on the first of some lengths, and move them by their sway.
+
+        Raises:
+            CarosacError: The first robot of a run cannot hang.
+        """
+        rest = statics.forward_kinematics(Fleet(robots), lengths[0])
+        hangs = rest.converged & rest.stable
         rate = np.zeros_like(lengths[0])
-        if len(when) > 1:
+        if len(lengths) > 1:
             rate = (lengths[1] - lengths[0]) / (when[1] - when[0])
-        hangs = _release(simulator, robots, lengths[0], rate, start, np.flatnonzero(hangs))
-    motion = OpenLoop(
-        position=np.empty((count, size, 3)),
-        rotation=np.empty((count, size, 3, 3)),
-        failed=~hangs,
-    )
-    rows = np.searchsorted(when, time - TIME_ROUNDING_S)
-    row = 0
-    for k, end in enumerate(rows):
-        while row < end:
-            row += 1
-            simulator.follow(lengths[row], float(when[row] - when[row - 1]))
-        state = simulator.state.numpy()
-        motion.position[k], motion.rotation[k] = state.position, state.rotation
-    motion.failed[:] |= state.failed
-    return motion
+        position, rotation = rest.position.copy(), rest.rotation.copy()
+        twist = np.zeros((len(robots), 6))
+        moves = np.zeros(len(robots), dtype=np.bool_)
+        sways: list[FreeSway] = []
+        coordinates: list[Array] = []
+        edge = 0
+        for run in runs:
+            if not hangs[edge]:
+                raise CarosacError(
+                    "the robot cannot hang at rest on the first recorded lengths "
+                    f"({statics.STATUS_REASONS[rest.status[edge]]})"
+                )
+            own = slice(edge, edge + len(run.robots))
+            edge = own.stop
+            if run.start is not None:
+                moves[own] = hangs[own]
+                sways += [run.start.sway] * int(hangs[own].sum())
+                coordinates += list(run.start.coordinates[hangs[own]])
+        which = np.flatnonzero(moves)
+        if len(which):
+            position[which], rotation[which], twist[which] = swaying_states(
+                sways, [robots[int(b)] for b in which],
+                Pose(position=rest.position[which], rotation=rest.rotation[which]),
+                lengths[0, which], rate[which], np.array(coordinates),
+            )  # fmt: skip
+        return cls(hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist)
+
+    def rows(self, which: NDArray[np.int64]) -> _Starts:
+        """Return the starts of some worlds."""
+        return _Starts(
+            hangs=self.hangs[which],
+            moves=self.moves[which],
+            position=self.position[which],
+            rotation=self.rotation[which],
+            twist=self.twist[which],
+        )
+
+
+class _Worlds:
+    """Worlds that one thread advances."""
+
+    def __init__(
+        self, robots: Sequence[Robot], lengths: Array, starts: _Starts, time_step: float
+    ) -> None:
+        """Place B worlds; lengths have the shape (M, B, n)."""
+        self._lengths = lengths
+        self._simulator = Simulator(robots, cables="catenary", time_step=time_step)
+        self._ready = np.zeros(len(robots), dtype=np.bool_)
+        for which in (starts.hangs & ~starts.moves, starts.moves):
+            self._place(np.flatnonzero(which), starts)
+
+    def _place(self, which: NDArray[np.int64], starts: _Starts) -> None:
+        """Place worlds, one by one where not all can be."""
+        if not len(which):
+            return
+
+        def reset(worlds: NDArray[np.int64]) -> None:
+            beside = starts.moves[worlds[0]]
+            self._simulator.reset(
+                starts.position[worlds] if beside else None,
+                starts.rotation[worlds] if beside else None,
+                unstrained_length=self._lengths[0, worlds],
+                twist=starts.twist[worlds],
+                worlds=worlds,
+            )
+            self._ready[worlds] = True
+
+        try:
+            reset(which)
+            return
+        except InvalidField:
+            pass
+        for row in range(len(which)):
+            with suppress(InvalidField):
+                reset(which[row : row + 1])
+
+    def wind(self, when: Array, looked: NDArray[np.int64]) -> OpenLoop:
+        """Wind through lengths at times (M,); return the motion at some of them."""
+        count, size = len(looked), len(self._ready)
+        position, rotation = np.empty((count, size, 3)), np.empty((count, size, 3, 3))
+        row = 0
+        for k, end in enumerate(looked):
+            while row < end:
+                row += 1
+                self._simulator.follow(self._lengths[row], float(when[row] - when[row - 1]))
+            state = self._simulator.state.numpy()
+            position[k], rotation[k] = state.position, state.rotation
+        failed = ~self._ready | self._simulator.state.numpy().failed
+        return OpenLoop(position=position, rotation=rotation, failed=failed)
 
 
 def _lengths(robots: Sequence[Robot], path: LengthPath, when: Array) -> Array:
@@ -145,62 +394,3 @@ def _lengths(robots: Sequence[Robot], path: LengthPath, when: Array) -> Array:
     if not (lengths > 0.0).all():
         raise CarosacError(f"a length of {lengths.min():.4g} m: do readings and offsets belong?")
     return lengths
-
-
-def _release(
-    simulator: Simulator,
-    robots: Sequence[Robot],
-    lengths: Array,
-    rate: Array,
-    start: OpenLoopStart,
-    which: NDArray[np.int64],
-) -> NDArray[np.bool_]:
-    """Release worlds that hang at rest with their sway, see `simulate`; say which of all could."""
-    state = simulator.state.numpy()
-    position, rotation, twist = swaying_states(
-        start.sway, [robots[b] for b in which],
-        Pose(position=state.position[which], rotation=state.rotation[which]),
-        lengths[which], rate[which], start.coordinates[which],
-    )  # fmt: skip
-
-    def reset(rows: NDArray[np.int64]) -> None:
-        worlds = which[rows]
-        simulator.reset(
-            position[rows], rotation[rows], unstrained_length=lengths[worlds], twist=twist[rows],
-            worlds=worlds,
-        )  # fmt: skip
-
-    done = np.zeros(len(robots), dtype=np.bool_)
-    done[which] = [error is None for error in _each(len(which), reset)]
-    return done
-
-
-def _hang(simulator: Simulator, lengths: Array) -> NDArray[np.bool_]:
-    """Hang worlds at rest; say which do."""
-
-    def reset(rows: NDArray[np.int64]) -> None:
-        simulator.reset(unstrained_length=lengths[rows], worlds=rows)
-
-    errors = _each(len(lengths), reset)
-    if errors[0] is not None:
-        raise CarosacError(
-            f"the robot cannot hang at rest on the first recorded lengths: {errors[0]}"
-        ) from errors[0]
-    return np.array([error is None for error in errors])
-
-
-def _each(count: int, reset: Callable[[NDArray[np.int64]], None]) -> Sequence[InvalidField | None]:
-    """Reset worlds, one by one where not all can be; return the error of each."""
-    rows = np.arange(count)
-    try:
-        reset(rows)
-        return [None] * count
-    except InvalidField:
-        pass
-    errors: list[InvalidField | None] = [None] * count
-    for row in rows:
-        try:
-            reset(rows[row : row + 1])
-        except InvalidField as error:
-            errors[row] = error
-    return errors

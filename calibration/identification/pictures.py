@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.identification.result import Identification
+from calibration.identification.result import Identification, IdentifiedRun
 from calibration.pictures import BAR_WIDTH, COLOR_AFTER, COLOR_BEFORE
 from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_title
 from carosac_toolkit.pictures.style import (
@@ -29,14 +29,14 @@ NUMBERED_RESTS_MAX, UPRIGHT_RESTS_MAX = 20, 10  # rests up to which each has its
 
 
 @styled
-def draw_motion(result: Identification, recording: Recording) -> Figure:
-    """Draw the position errors over time, before and after, and the angle after."""
+def draw_motion(result: Identification, run: IdentifiedRun, recording: Recording) -> Figure:
+    """Draw the position errors of a run over time, before and after, and the angle after."""
     figure = new_figure(DOUBLE_COLUMN_INCH, 5.6)
     rows = figure.subplots(4, 1, sharex=True)
-    time = result.measured.time
+    time = run.measured.time
     rests = find_phases(recording.time, recording.unstrained_length).rests
-    before = result.position_before - result.measured.position
-    unit, factor = unit_of([before, result.errors[:, :3]])
+    before = run.position_before - run.measured.position
+    unit, factor = unit_of([before, run.errors[:, :3]])
     for i, axes in enumerate(rows):
         for k, (first, end) in enumerate(rests):
             axes.axvspan(
@@ -47,15 +47,15 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
             axes.plot(
                 time, factor * before[:, i], color=COLOR_BEFORE, ls=SERIES_LINES[1], label="before"
             )
-            axes.plot(time, factor * result.errors[:, i], color=COLOR_AFTER, label="after")
+            axes.plot(time, factor * run.errors[:, i], color=COLOR_AFTER, label="after")
             axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
             axes.set_ylabel(f"error in {'xyz'[i]} [{unit}]")
         else:
-            angle = np.degrees(np.linalg.norm(result.errors[:, 3:], axis=1))
+            angle = np.degrees(np.linalg.norm(run.errors[:, 3:], axis=1))
             axes.plot(time, angle, color=COLOR_AFTER)
             axes.set(ylabel="angle after [deg]", ylim=(0.0, None))
-        if result.test is not None:
-            limit = recording.time[min(result.train.stop, len(recording.time) - 1)]
+        if run.train is not None and run.test is not None:
+            limit = recording.time[min(run.train.stop, len(recording.time) - 1)]
             axes.axvline(
                 limit, color=SERIES_COLORS[1], lw=1.5, ls=SERIES_LINES[2],
                 label="from here on kept back",
@@ -64,8 +64,31 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
         axes.margins(x=0.005)
     figure.align_ylabels(rows)
     rows[-1].set_xlabel("time [s]")
-    set_title(figure, f"{result.robot.name}: open-loop simulation minus measured pose")
+    name = f", {run.name}" if len(result.runs) > 1 else ""
+    set_title(figure, f"{result.robot.name}{name}: open-loop simulation minus measured pose")
     put_legend(figure, rows[0])
+    return figure
+
+
+@styled
+def draw_runs(result: Identification) -> Figure:
+    """Draw the RMS error of each recording, before and after."""
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.0)
+    axes = figure.subplots()
+    place = np.arange(len(result.runs))
+    errors = np.array([run.rmse for run in result.runs]).T
+    unit, factor = unit_of([errors])
+    for shift, values, color, name in zip(
+        (-0.5, 0.5), errors, (COLOR_BEFORE, COLOR_AFTER), ("before", "after"), strict=True
+    ):
+        at = place + shift * BAR_WIDTH
+        axes.bar(at, factor * values, BAR_WIDTH, color=color, label=name)
+    names = [run.name + (" (kept back)" if run.train is None else "") for run in result.runs]
+    axes.set_xticks(place, names, rotation=60, ha="right")
+    axes.set(ylabel=f"RMS error [{unit}]", yscale="log")
+    axes.grid(alpha=0.25, axis="y")
+    set_title(figure, f"{result.robot.name}: open-loop error of each recording")
+    put_legend(figure, axes)
     return figure
 
 

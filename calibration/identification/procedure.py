@@ -1,46 +1,57 @@
-"""Identify the dynamics of a robot from a recording with poses."""
+"""Identify the dynamics of a robot from recordings with poses."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
-from calibration.identification.open_loop import OpenLoopStart, first_equilibrium, simulate
+from calibration.identification.open_loop import (
+    OpenLoopRun,
+    OpenLoopStart,
+    first_equilibrium,
+    simulate_runs,
+)
 from calibration.identification.result import (
     FirstMotion,
     Identification,
+    IdentifiedRun,
     MeanPoseComparison,
     RestErrors,
+    Samples,
     ScoredRange,
 )
+from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.sway import FreeSway, find_sway
+from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import choose_coordinates
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import turn_between
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.first_motion import first_speed
-from carosac_toolkit.validation.phases import (
-    anchors_at,
-    find_phases,
-)
+from carosac_toolkit.validation.first_motion import FirstSpeed, first_speed
+from carosac_toolkit.validation.phases import anchors_at, find_phases
 from carosac_toolkit.validation.plausibility import find_contradictions
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
-MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
-START_DISTANCE_MAX_M = 0.5  # [m]
-MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
+MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
+START_DISTANCE_MAX = Scaled(0.5, "m")
+# A platform that moves by less does not show its dynamics; sensors do not shrink with it.
+REACH_MIN = Scaled(0.01, "m", least=0.002)
 
 
 def identify(
@@ -73,54 +84,174 @@ def identify(
         Unobservable: The recording does not show the dynamics.
         CarosacError: The robot cannot be simulated on these lengths.
     """
-    chosen = settings or IdentificationSettings()
-    poses = _check(recording, robot, train, test)
-    fitted = poses.within(*train).thinned(chosen.rate)
+    part = _Part(name="recording", recording=recording, train=train, test=test)
+    return _identify([part], robot, settings, report)
+
+
+def identify_runs(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    settings: IdentificationSettings | None = None,
+    *,
+    held_out: Sequence[Recording] = (),
+    names: Sequence[str] | None = None,
+    report: ProgressCallback = lambda poses, position, rotation: None,
+) -> Identification:
+    """Fit one robot to the poses of several recordings; see `identify`.
+
+    Each recording begins at its own first sample with a motion of its own. Short free oscillations
+    with locked winches will do, from different places and in different directions.
+
+    Args:
+        recordings: All of their poses are fitted.
+        robot: Start of the search, with as many cables.
+        settings: None takes the defaults.
+        held_out: Scored only; nothing but their first motion is fitted to them.
+        names: Of `recordings`, then of `held_out`; None numbers them.
+        report: Called before each step with the number of poses that it looks at, and their RMS
+            errors [m] and [rad].
+
+    Raises:
+        InvalidField: No recordings, or one of them does not fit the robot.
+        Unobservable: The recordings do not show the dynamics.
+        CarosacError: The robot cannot be simulated on these lengths.
+    """
+    if not recordings:
+        raise InvalidField("recordings", "none", "at least one to be fitted")
+    every = [*recordings, *held_out]
+    called = names or [f"recording {k + 1}" for k in range(len(every))]
+    parts = [
+        _Part(
+            name=name,
+            recording=recording,
+            train=whole if k < len(recordings) else None,
+            test=None if k < len(recordings) else whole,
+        )
+        for k, (name, recording) in enumerate(zip(called, every, strict=True))
+        for whole in [(0, len(recording.time))]
+    ]
+    return _identify(parts, robot, settings, report)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Part:
+    """A recording, with what is fitted and what is kept back of it.
+
+    Attributes:
+        name: Of the recording.
+        recording: As recorded.
+        train: Samples that are fitted; None: none.
+        test: Samples that are scored only; None: none.
+    """
+
+    name: str
+    recording: Recording
+    train: Range | None
+    test: Range | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Run:
+    """A recording that was checked.
+
+    Attributes:
+        part: What is to be done with it.
+        poses: All measured ones, in W.
+        first: Speed at the first samples.
+        fitted: What a fit sees.
+    """
+
+    part: _Part
+    poses: MeasuredPoses
+    first: FirstSpeed
+    fitted: FittedRun
+
+
+def _identify(
+    parts: Sequence[_Part],
+    robot: Robot,
+    settings: IdentificationSettings | None,
+    report: ProgressCallback,
+) -> Identification:
+    """Identify a robot from parts of recordings, first those that are fitted."""
+    chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
+    poses = [_check(part, robot) for part in parts]
+    _check_motion(robot, parts, poses)
     unknowns = choose_coordinates(robot, chosen)
-    path = LengthPath(recording)
-    first = first_speed(
-        robot, recording.time, recording.unstrained_length, poses.time, poses.position,
-        poses.rotation,
-    )  # fmt: skip
-    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
-    before = _motion(robot, robot, path, poses, chosen, sway, sway.guess)
-    _check_start(before)
-    fit = Fitter(unknowns, path, fitted, sway, chosen).run(report)
+    runs = [_prepared(part, robot, each, chosen) for part, each in zip(parts, poses, strict=True)]
+    before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
+    for run, errors in zip(runs, before, strict=True):
+        _check_start(run.part.name, robot, errors)
+    trained = [run.fitted for run in runs if run.part.train is not None]
+    fit = Fitter(unknowns, trained, chosen).run(report)
+    kept = [run.fitted for run in runs if run.part.train is None]
+    starts = [*fit.starts]
+    if kept:
+        starts += Fitter(unknowns, kept, chosen, robot_at=fit.coordinates).starts()
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(robot, identified, path, poses, chosen, sway, fit.start)
-    against_mean = _against_mean(robot, poses, after, test or train)
-    scored = None if test is None else _part(poses, before, after, test)
+    after = _motions(robot, identified, runs, chosen, starts)
+    against_mean = _against_mean(robot, runs, after)
+    scored = _scored(runs, before, after, "test")
+    fitted = _scored(runs, before, after, "train")
+    assert fitted is not None, "something was fitted"
     return Identification(
         before=robot,
         warnings=tuple(_warnings(fit, scored, against_mean)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
-        train=_part(poses, before, after, train),
+        train=fitted,
         test=scored,
-        rests=_rests(recording, robot, identified, poses),
-        first_motion=FirstMotion.of(sway, fit.start, first),
+        runs=tuple(
+            IdentifiedRun(
+                name=run.part.name,
+                train=_scored([run], [old], [new], "train"),
+                test=_scored([run], [old], [new], "test"),
+                rests=_rests(run, robot, identified, chosen.rate),
+                first_motion=FirstMotion.of(run.fitted.sway, start, run.first),
+                measured=run.poses,
+                position_before=old[:, :3] + run.poses.position,
+                position_after=new[:, :3] + run.poses.position,
+                errors=new,
+            )
+            for run, start, old, new in zip(runs, starts, before, after, strict=True)
+        ),
         against_mean=against_mean,
-        measured=poses,
-        position_before=before[:, :3] + poses.position,
-        position_after=after[:, :3] + poses.position,
-        errors=after,
         iterations=fit.iterations,
         converged=fit.converged,
         excess=fit.excess,
-        fitted_samples=len(fitted.time),
+        fitted_samples=sum(len(run.poses.time) for run in trained),
     )
 
 
-def _check(recording: Recording, robot: Robot, train: Range, test: Range | None) -> MeasuredPoses:
+def _prepared(
+    part: _Part, robot: Robot, poses: MeasuredPoses, settings: IdentificationSettings
+) -> _Run:
+    """Find how a recording begins, and what of it a fit sees."""
+    recording, path = part.recording, LengthPath(part.recording)
+    first = first_speed(
+        robot, recording.time, recording.unstrained_length, poses.time, poses.position,
+        poses.rotation,
+    )  # fmt: skip
+    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
+    span = part.train or part.test
+    assert span is not None, "a recording is fitted or scored"
+    seen = poses.within(*span).thinned(settings.rate)
+    return _Run(
+        part=part, poses=poses, first=first, fitted=FittedRun(path=path, poses=seen, sway=sway)
+    )
+
+
+def _check(part: _Part, robot: Robot) -> MeasuredPoses:
     """Refuse what nothing can be identified from; return the measured poses in W."""
+    recording, train, test = part.recording, part.train, part.test
     recording.require_cables(robot)
     count = len(recording.time)
     for name, span in (("train", train), ("test", test)):
         if span is not None and not 0 <= span[0] < span[1] <= count:
             allowed = f"START:STOP with 0 <= START < STOP <= {count}, the number of samples"
             raise InvalidField(name, f"{span[0]}:{span[1]}", allowed)
-    if test is not None and max(train[0], test[0]) < min(train[1], test[1]):
+    if train is not None and test is not None and max(train[0], test[0]) < min(train[1], test[1]):
         allowed = f"samples outside of train = {train[0]}:{train[1]}"
         raise InvalidField("test", f"{test[0]}:{test[1]}", allowed)
     material = calibrated(recording, robot)
@@ -128,40 +259,60 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
     for name, span in (("train", train), ("test", test)):
         if span is not None and len(poses.within(*span).time) == 0:
             raise InvalidField(name, f"{span[0]}:{span[1]}", "samples with measured poses nearby")
-    fitted = poses.within(*train)
-    _check_order(robot, material, poses)
-    duration = float(fitted.time[-1] - fitted.time[0])
-    if duration < MOTION_MIN_S:
-        allowed = f"at least {MOTION_MIN_S:g} s with measured poses"
-        raise InvalidField("train", f"{duration:.3g} s", allowed)
-    reach = float(np.ptp(fitted.position, axis=0).max())
-    if reach < MOTION_MIN_M:
-        raise Unobservable(
-            f"identification: the platform moves by only {reach * 1e3:.2g} mm in samples "
-            f"{train[0]}:{train[1]}; a platform at rest does not show its dynamics"
-        )
+    _check_order(part.name, robot, material, poses)
     return poses
 
 
-def _motion(
+def _check_motion(robot: Robot, parts: Sequence[_Part], poses: Sequence[MeasuredPoses]) -> None:
+    """Refuse too little motion in all that is fitted."""
+    ratios = Scales(robot).ratios
+    duration, reach = 0.0, 0.0
+    for part, each in zip(parts, poses, strict=True):
+        if part.train is None:
+            continue
+        fitted = each.within(*part.train)
+        duration += float(fitted.time[-1] - fitted.time[0])
+        anchors = anchors_at(robot, fitted.position, fitted.rotation)
+        reach = max(reach, float(np.ptp(anchors, axis=0).max()))
+    shortest = MOTION_MIN.of(ratios)
+    if duration < shortest:
+        allowed = f"at least {shortest:.3g} s with measured poses"
+        raise InvalidField("train", f"{duration:.3g} s", allowed)
+    if reach < REACH_MIN.of(ratios):
+        raise Unobservable(
+            f"identification: the platform moves by only {reach * 1e3:.2g} mm in what is to be "
+            "fitted; a platform at rest does not show its dynamics"
+        )
+
+
+def _motions(
     before: Robot,
     robot: Robot,
-    path: LengthPath,
-    poses: MeasuredPoses,
+    runs: Sequence[_Run],
     settings: IdentificationSettings,
-    sway: FreeSway,
-    coordinates: Array,
-) -> Array:
-    """Return the errors of a robot's simulation at all poses, in W as before, shape (K, 6)."""
-    start = OpenLoopStart(sway=sway, coordinates=coordinates[None])
-    motion = simulate([robot], path, poses.time, time_step=settings.time_step, start=start)
-    if motion.failed.any():
-        raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
-    motion = motion.seen_by(before, [robot])
-    return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
+    starts: Sequence[Array],
+) -> list[Array]:
+    """Return the errors of a robot's simulation at all poses, in W as before, (K, 6) a run."""
+    jobs = [
+        OpenLoopRun(
+            robots=[robot],
+            path=run.fitted.path,
+            time=run.poses.time,
+            start=OpenLoopStart(sway=run.fitted.sway, coordinates=start[None]),
+        )
+        for run, start in zip(runs, starts, strict=True)
+    ]
+    errors = []
+    motions = simulate_runs(jobs, time_step=settings.time_step)
+    for run, motion in zip(runs, motions, strict=True):
+        if motion.failed.any():
+            raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
+        seen = motion.seen_by(before, [robot])
+        errors.append(run.poses.errors(seen.position[:, 0], seen.rotation[:, 0]))
+    return errors
 
 
-def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
+def _check_order(name: str, robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
     """Refuse clocks that are apart, cables in another order, other units and other frames."""
     pose = Pose(position=poses.position, rotation=poses.rotation)
     mix_ups = find_contradictions(
@@ -170,43 +321,82 @@ def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> Non
     )  # fmt: skip
     if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
-        raise InvalidField("recording", " ".join(mix_ups), allowed)
+        raise InvalidField(name, " ".join(mix_ups), allowed)
 
 
-def _check_start(errors: Array) -> None:
+def _check_start(name: str, robot: Robot, errors: Array) -> None:
     """Refuse a robot that hangs somewhere else than where it was measured."""
     away = float(np.linalg.norm(errors[0, :3]))
-    if away > START_DISTANCE_MAX_M:
+    farthest = START_DISTANCE_MAX.of(Scales(robot).ratios)
+    if away > farthest:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
             "lengths and poses of this robot, whose first pose is that of its first lengths within "
-            f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped "
-            "cables and wrong units"
+            f"{farthest:.2g} m; 'carosac calibrate lengths' finds offsets, swapped cables and "
+            "wrong units"
         )
-        raise InvalidField("recording", got, allowed)
+        raise InvalidField(name, got, allowed)
 
 
 def _against_mean(
-    robot: Robot, poses: MeasuredPoses, errors: Array, span: Range
+    robot: Robot, runs: Sequence[_Run], errors: Sequence[Array]
 ) -> MeanPoseComparison:
-    """Compare the errors of a simulation (K, 6) in some samples with those of the mean pose."""
+    """Compare the errors of simulations, (K, 6) a run, with those of the mean poses."""
     from scipy.spatial.transform import Rotation
 
-    rows = _rows(poses, *span)
-    measured = anchors_at(robot, poses.position[rows], poses.rotation[rows])
-    turned = poses.rotation[rows] @ Rotation.from_rotvec(errors[rows, 3:]).as_matrix()
-    simulated = anchors_at(robot, poses.position[rows] + errors[rows, :3], turned)
-    distances = (simulated - measured, measured - measured.mean(axis=0))
-    missed, spread = (float(np.sqrt((each**2).sum(axis=2).mean())) for each in distances)
-    return MeanPoseComparison(start=span[0], stop=span[1], missed=missed, spread=spread)
+    which = "train" if all(run.part.test is None for run in runs) else "test"
+    samples = _samples(runs, which)
+    assert samples is not None, "something was fitted"
+    missed, spread = [], []
+    for run, error in zip(runs, errors, strict=True):
+        rows = _rows_of(run, which)
+        poses = run.poses.rows(rows)
+        measured = anchors_at(robot, poses.position, poses.rotation)
+        turned = poses.rotation @ Rotation.from_rotvec(error[rows, 3:]).as_matrix()
+        simulated = anchors_at(robot, poses.position + error[rows, :3], turned)
+        missed.append(simulated - measured)
+        if len(rows):
+            spread.append(measured - measured.mean(axis=0))
+    distances = [
+        float(np.sqrt((np.concatenate(each) ** 2).sum(axis=2).mean())) for each in (missed, spread)
+    ]
+    return MeanPoseComparison(**vars(samples), missed=distances[0], spread=distances[1])
 
 
-def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
-    """Score a range of samples."""
-    rows = (poses.index >= span[0]) & (poses.index < span[1])
-    return ScoredRange(
-        start=span[0], stop=span[1], before=_scores(before[rows]), after=_scores(after[rows])
+def _span(run: _Run, which: str) -> Range | None:
+    """Return the samples that are fitted (`train`) or scored only (`test`)."""
+    return run.part.train if which == "train" else run.part.test
+
+
+def _samples(runs: Sequence[_Run], which: str) -> Samples | None:
+    """Return what is fitted or scored only, of all runs together; None: there is none."""
+    spans = [span for run in runs if (span := _span(run, which)) is not None]
+    if not spans:
+        return None
+    first = spans[0][0] if len(spans) == 1 else 0
+    stop = first + sum(stop - start for start, stop in spans)
+    return Samples(start=first, stop=stop, runs=len(spans))
+
+
+def _rows_of(run: _Run, which: str) -> NDArray[np.int64]:
+    """Return the rows of the poses that are fitted or scored only."""
+    span = _span(run, which) or (0, 0)
+    return _rows(run.poses, *span)
+
+
+def _scored(
+    runs: Sequence[_Run], before: Sequence[Array], after: Sequence[Array], which: str
+) -> ScoredRange | None:
+    """Score what was fitted or what was not, of all runs together; None: there is none."""
+    samples = _samples(runs, which)
+    if samples is None:
+        return None
+    rows = [_rows_of(run, which) for run in runs]
+    old, new = (
+        np.concatenate([each[own] for each, own in zip(errors, rows, strict=True)])
+        for errors in (before, after)
     )
+    return ScoredRange(**vars(samples), before=_scores(old), after=_scores(new))
 
 
 def _scores(errors: Array) -> PoseScores:
@@ -222,20 +412,18 @@ def _warnings(
         lines.append(f"the search had not settled after {fit.iterations} steps")
     if against_mean.useless:
         lines.append(
-            f"the identified robot is of no use: in samples {against_mean.start}:"
-            f"{against_mean.stop} its anchor points miss the measured ones by "
-            f"{against_mean.missed * 1e3:.1f} mm RMS, where their own mean positions miss them by "
-            f"{against_mean.spread * 1e3:.1f} mm"
+            f"the identified robot is of no use: in {against_mean.words} its anchor points miss "
+            f"the measured ones by {against_mean.missed * 1e3:.1f} mm RMS, where their own mean "
+            f"positions miss them by {against_mean.spread * 1e3:.1f} mm"
         )
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:
-        lines.append("the identified robot is worse than before on the samples kept back")
+        lines.append("the identified robot is worse than before on what was kept back")
     return lines
 
 
-def _rests(
-    recording: Recording, robot: Robot, identified: Robot, poses: MeasuredPoses
-) -> RestErrors:
+def _rests(run: _Run, robot: Robot, identified: Robot, rate: float) -> RestErrors:
     """Compare the mean pose of each rest with the mean equilibrium of its lengths."""
+    recording, poses = run.part.recording, run.poses.thinned(rate)
     rests = find_phases(recording.time, recording.unstrained_length).rests
     spans = [rows for a, b in rests if len(rows := _rows(poses, a, b))]
     first = [int(poses.index[rows[0]]) for rows in spans]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from calibration.identification.pictures import draw_motion, draw_rests
+from calibration.identification.pictures import draw_motion, draw_rests, draw_runs
 from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
 from calibration.report import ReportContent, observability_html, parameters_html
@@ -31,19 +33,26 @@ def score_rows(result: Identification) -> Rows:
         if part is None:
             continue
         for robot, scores in (("before", part.before), ("after", part.after)):
-            name = f"{part.start}:{part.stop} ({word})" if robot == "before" else ""
+            name = f"{part.words} ({word})" if robot == "before" else ""
             numbers = [f"{value * 1e3:.1f}" for value in (*scores.rmse, scores.max[3])]
             rows.append((name, robot, *numbers, f"{np.degrees(scores.orientation_rmse):.2f}"))
     return rows
 
 
 def report_content(
-    result: Identification, recording: Recording, effects: ResidualEffects | None
+    result: Identification, recordings: Sequence[Recording], effects: ResidualEffects | None
 ) -> ReportContent:
-    """Return tables and pictures of the report on an identification from a recording."""
+    """Return tables and pictures of the report on an identification from recordings.
+
+    Args:
+        result: The identification.
+        recordings: In the order of its runs.
+        effects: What the error of its worst recording looks like; None: not known.
+    """
+    worst = result.worst
     images = {
         "motion": (
-            draw_motion(result, recording),
+            draw_motion(result, result.runs[worst], recordings[worst]),
             "Error of the open-loop simulation, before and after. Samples on the right of the line "
             "were not fitted.",
         ),
@@ -56,6 +65,9 @@ def report_content(
             "Prior and posterior of each parameter.",
         ),
     }
+    if len(recordings) > 1:
+        words = "Error of each recording, before and after; the worst of them is drawn above."
+        images["recordings"] = (draw_runs(result), words)
     scores = (
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
         "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)

@@ -20,25 +20,46 @@ LEARNT_SIGMA_SHARE = 0.7  # of its prior sigma: a parameter that keeps more was 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ScoredRange:
-    """A range of samples, before and after.
+class Samples:
+    """A range of samples of one recording, or several whole recordings.
 
     Attributes:
         start: First length sample.
-        stop: One past the last.
-        before: Of the robot as it was known.
-        after: Of the identified robot.
+        stop: One past the last, of all recordings together.
+        runs: Number of recordings.
     """
 
     start: int
     stop: int
+    runs: int
+
+    @property
+    def words(self) -> str:
+        """Name what was scored."""
+        if self.runs > 1:
+            return f"{self.runs} recordings"
+        return f"samples {self.start}:{self.stop}"
+
+    def data(self) -> dict[str, Any]:
+        """Return the numbers, ready for JSON."""
+        return {"start": self.start, "stop": self.stop, "recordings": self.runs}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScoredRange(Samples):
+    """Scores of samples before and after.
+
+    Attributes:
+        before: Of the robot as it was known.
+        after: Of the identified robot.
+    """
+
     before: PoseScores
     after: PoseScores
 
     def data(self) -> dict[str, Any]:
         """Return the scores after, and those before under ``before``, ready for JSON."""
-        samples = {"start": self.start, "stop": self.stop}
-        return {**samples, **self.after.data(), "before": self.before.data()}
+        return {**super().data(), **self.after.data(), "before": self.before.data()}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,19 +130,15 @@ class FirstMotion:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeanPoseComparison:
-    """Simulated against constant poses, on samples that were kept back if there are any.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeanPoseComparison(Samples):
+    """Simulated against constant poses, on what was kept back if anything was.
 
     Attributes:
-        start: First length sample.
-        stop: One past the last.
         missed: RMS distance of simulated from measured anchor points [m].
         spread: RMS distance of the measured anchor points from their means [m].
     """
 
-    start: int
-    stop: int
     missed: float
     spread: float
 
@@ -132,8 +149,51 @@ class MeanPoseComparison:
 
     def data(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON."""
-        samples = {"start": self.start, "stop": self.stop}
-        return {**samples, "missed_m": self.missed, "spread_m": self.spread}
+        return {**super().data(), "missed_m": self.missed, "spread_m": self.spread}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IdentifiedRun:
+    """One recording, and how well the identified robot moves as measured in it.
+
+    Attributes:
+        name: Of the recording.
+        train: Samples that were fitted; None where none were.
+        test: Samples that were not; None where none were kept back.
+        rests: Mean poses while the winches rest.
+        first_motion: Sway at the first sample.
+        measured: All measured poses, K of them, in W.
+        position_before: Of the robot as it was known [m], shape (K, 3).
+        position_after: Of the identified robot [m], shape (K, 3).
+        errors: Of the identified robot, shape (K, 6): [m] and [rad].
+    """
+
+    name: str
+    train: ScoredRange | None
+    test: ScoredRange | None
+    rests: RestErrors
+    first_motion: FirstMotion
+    measured: MeasuredPoses
+    position_before: Array
+    position_after: Array
+    errors: Array
+
+    @property
+    def rmse(self) -> tuple[float, float]:
+        """RMS distances of all positions, before and after [m]."""
+        away = (self.position_before - self.measured.position, self.errors[:, :3])
+        before, after = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in away)
+        return before, after
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON."""
+        return {
+            "name": self.name,
+            "train": None if self.train is None else self.train.data(),
+            "test": None if self.test is None else self.test.data(),
+            "rests": self.rests.data(),
+            "first_motion": self.first_motion.data(),
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,15 +201,10 @@ class Identification(CalibrationResult):
     """An identified robot and how well it moves as measured.
 
     Attributes:
-        train: Samples that were fitted.
-        test: Samples that were not; None where none were kept back.
-        rests: Mean poses while the winches rest.
-        first_motion: Sway at the first sample.
-        against_mean: Comparison with the mean pose; the robot is of no use if that is better.
-        measured: All measured poses, K of them, in W.
-        position_before: Of the robot as it was known [m], shape (K, 3).
-        position_after: Of the identified robot [m], shape (K, 3).
-        errors: Of the identified robot, shape (K, 6): [m] and [rad].
+        train: What was fitted, of all recordings.
+        test: What was not; None where nothing was kept back.
+        runs: One for each recording, first those that were fitted.
+        against_mean: Comparison with the mean poses; the robot is of no use if these are better.
         iterations: Steps of the search.
         converged: True if it ended by itself.
         excess: Factor by which the data count for less than independent innovations [1].
@@ -158,17 +213,31 @@ class Identification(CalibrationResult):
 
     train: ScoredRange
     test: ScoredRange | None
-    rests: RestErrors
-    first_motion: FirstMotion
+    runs: tuple[IdentifiedRun, ...]
     against_mean: MeanPoseComparison
-    measured: MeasuredPoses
-    position_before: Array
-    position_after: Array
-    errors: Array
     iterations: int
     converged: bool
     excess: float
     fitted_samples: int
+
+    @property
+    def rests(self) -> RestErrors:
+        """Rests of all recordings."""
+        return RestErrors(
+            before=np.concatenate([run.rests.before for run in self.runs]),
+            after=np.concatenate([run.rests.after for run in self.runs]),
+            starts=np.concatenate([run.rests.starts for run in self.runs]),
+        )
+
+    @property
+    def first_motion(self) -> FirstMotion:
+        """Sway at the first sample of the first recording."""
+        return self.runs[0].first_motion
+
+    @property
+    def worst(self) -> int:
+        """Index of the recording with the largest RMS error."""
+        return int(np.argmax([run.rmse[1] for run in self.runs]))
 
     def data(self) -> dict[str, Any]:
         """Return all numbers under names with units, ready for JSON."""
@@ -179,6 +248,7 @@ class Identification(CalibrationResult):
             "observability": self.observability.data(),
             "rests": self.rests.data(),
             "first_motion": self.first_motion.data(),
+            "recordings": [run.data() for run in self.runs],
             "against_mean_pose": self.against_mean.data(),
             "iterations": self.iterations,
             "converged": self.converged,
@@ -193,7 +263,7 @@ class Identification(CalibrationResult):
             lines.append(self._scores("kept back", self.test))
         else:
             lines.append("no samples were kept back: nothing says how well this carries over")
-        lines += self._first_motion()
+        lines += self._first_motion() if len(self.runs) == 1 else self._each_run()
         if len(self.rests.after):
             lines.append(
                 f"mean pose of {len(self.rests.after)} rests of the winches against the "
@@ -210,10 +280,22 @@ class Identification(CalibrationResult):
     def _scores(self, word: str, part: ScoredRange) -> str:
         x, y, z, norm = part.after.rmse * 1e3
         return (
-            f"samples {part.start}:{part.stop} ({word}), open loop: {norm:.1f} mm RMS in norm "
+            f"{part.words} ({word}), open loop: {norm:.1f} mm RMS in norm "
             f"({x:.1f}/{y:.1f}/{z:.1f} mm), {np.degrees(part.after.orientation_rmse):.2f} degrees; "
             f"before: {part.before.rmse[3] * 1e3:.1f} mm"
         )
+
+    def _each_run(self) -> list[str]:
+        """Say how the recordings differ."""
+        moving = sum(run.first_motion.moves for run in self.runs)
+        errors = [run.rmse[1] for run in self.runs]
+        worst = int(np.argmax(errors))
+        return [
+            f"{moving} of {len(self.runs)} recordings begin in motion; the start of each was "
+            "estimated beside the robot",
+            f"RMS errors of the recordings: {np.median(errors) * 1e3:.1f} mm in the median, "
+            f"{errors[worst] * 1e3:.1f} mm at worst ({self.runs[worst].name})",
+        ]
 
     def _first_motion(self) -> list[str]:
         """Say that the recording begins in motion, or nothing."""

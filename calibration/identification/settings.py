@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
-import numpy as np
-
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentificationSettings:
     """One standard deviation of each parameter where the robot file knows none; 0 holds it.
 
-    Shares are logarithmic: 0.7 is a factor of two.
+    Shares are logarithmic: 0.7 is a factor of two. Defaults with a size are those of `carosac`;
+    they grow with the robot.
 
     Attributes:
         exit_points: Per axis [m].
@@ -41,32 +42,32 @@ class IdentificationSettings:
         time_step: Of the simulator, at most [s].
     """
 
-    exit_points: float = 0.02
-    anchor_points: float = 0.005
-    length_offset: float = 0.05
+    exit_points: float = Scaled(0.02, "m")
+    anchor_points: float = Scaled(0.005, "m")
+    length_offset: float = Scaled(0.05, "m")
     length_scale: float = 0.002
     length_delay: float = 0.05
-    center_of_mass: float = 0.02
+    center_of_mass: float = Scaled(0.02, "m")
     mass: float = 0.05
     inertia: float = 0.3
     linear_density: float = 0.05
     axial_stiffness: float = 0.7
     axial_damping: float = 1.0
-    run_length: float = 2.0
+    run_length: float = Scaled(2.0, "m")
     exit_friction: float = 1e-3
     anchor_friction: float = 0.01
-    length_hysteresis: float = 1e-3
+    length_hysteresis: float = Scaled(1e-3, "m")
     pose_tilt: float = 0.01
     drag: float = 1.0
     angular_drag: float = 1.0
-    rate: float = 10.0
+    rate: float = Scaled(10.0, "Hz")
     iterations: int = 25
-    time_step: float = 1.0 / 140.0
+    time_step: float = Scaled(1.0 / 140.0, "s")
 
     def __post_init__(self) -> None:
         """Refuse what is no standard deviation."""
         for field in fields(self):
             value = getattr(self, field.name)
             lowest = "> 0" if field.name in ("rate", "iterations", "time_step") else ">= 0"
-            if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and lowest == ">= 0"))):
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and lowest == ">= 0"))):
                 raise InvalidField(field.name, value, f"{field.name} {lowest}, finite")

@@ -18,7 +18,11 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.physics.rest.held_lengths import moved_pose, pose_on_lengths, twist_on_rates
+from carosac_toolkit.physics.rest.held_lengths import (
+    moved_poses,
+    poses_on_lengths,
+    twists_on_rates,
+)
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -63,32 +67,6 @@ class FreeSway:
         parts = np.split(self.sigma * coordinates, 2, axis=-1)
         return parts[0], parts[1]
 
-    def state(
-        self, robot: Robot, rest: Pose, length: Array, rate: Array, coordinates: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return where a robot starts.
-
-        The displaced platform is moved on to where its straight cables are as long as at rest, so
-        that a large swing does not stretch them.
-
-        Args:
-            robot: Robot description, n cables.
-            rest: Its equilibrium, B = 1.
-            length: Unstrained lengths there [m], shape (n,).
-            rate: Of the lengths [m/s], shape (n,).
-            coordinates: shape (2 m,).
-
-        Returns:
-            Position [m], (3,), rotation, (3, 3), and twist of the platform origin in W, (6,).
-        """
-        displacement, speed = self.values(coordinates)
-        position, rotation = pose_on_lengths(
-            robot, *moved_pose(rest.position[0], rest.rotation[0], self.shape @ displacement),
-            straight_length(robot, rest.position, rest.rotation).length[0],
-        )  # fmt: skip
-        twist = twist_on_rates(robot, position, rotation, length, rate, self.shape @ speed)
-        return position, rotation, twist
-
 
 def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: bool) -> FreeSway:
     """Find the free directions at rest, and guess the first motion from measured poses.
@@ -124,35 +102,45 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
 
 
 def swaying_states(
-    sway: FreeSway,
+    sways: Sequence[FreeSway],
     robots: Sequence[Robot],
     rest: Pose,
     length: Array,
     rate: Array,
     coordinates: Array,
 ) -> tuple[Array, Array, Array]:
-    """Return where B robots start; see `FreeSway.state`.
+    """Return where B robots start.
+
+    Displaced platforms are moved on to where their straight cables are as long as at rest, so that
+    a large swing does not stretch them.
 
     Args:
-        sway: Their free directions.
-        robots: B robots.
+        sways: Their free directions.
+        robots: B robots, n cables each.
         rest: Their equilibria, B of them.
-        length: Unstrained lengths [m], shape (B, n).
+        length: Unstrained lengths there [m], shape (B, n).
         rate: Of these [m/s], shape (B, n).
-        coordinates: shape (B, 2 m).
+        coordinates: Shape (B, 2 m).
 
     Returns:
-        Positions (B, 3), rotations (B, 3, 3) and twists (B, 6).
+        Positions (B, 3) [m], rotations (B, 3, 3), and twists (B, 6) of the origins in W.
     """
-    states = [
-        sway.state(
-            robot, Pose(position=rest.position[b : b + 1], rotation=rest.rotation[b : b + 1]),
-            length[b], rate[b], coordinates[b],
+    values = [sway.values(each) for sway, each in zip(sways, coordinates, strict=True)]
+    move = np.array([sway.shape @ value[0] for sway, value in zip(sways, values, strict=True)])
+    free = np.array([sway.shape @ value[1] for sway, value in zip(sways, values, strict=True)])
+    position, rotation = moved_poses(rest.position, rest.rotation, move)
+    twist = np.empty_like(free)
+    rows: dict[int, list[int]] = {}  # of each robot: its worlds are one batch
+    for b, robot in enumerate(robots):
+        rows.setdefault(id(robot), []).append(b)
+    for own in rows.values():
+        robot = robots[own[0]]
+        wanted = straight_length(robot, rest.position[own], rest.rotation[own]).length
+        position[own], rotation[own] = poses_on_lengths(robot, position[own], rotation[own], wanted)
+        twist[own] = twists_on_rates(
+            robot, position[own], rotation[own], length[own], rate[own], free[own]
         )
-        for b, robot in enumerate(robots)
-    ]  # fmt: skip
-    position, rotation, twist = zip(*states, strict=True)
-    return np.array(position), np.array(rotation), np.array(twist)
+    return position, rotation, twist
 
 
 def _guess(rest: Equilibrium, first: Belief, root: Array, shape: Array) -> Array:

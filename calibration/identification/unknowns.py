@@ -19,12 +19,15 @@ from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.device import lever
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
 from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
+INVERSE_SHARE_MIN = 0.25  # least share of itself that 1 / EA is left in a step
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
 _FACTOR_FIELDS = (
     "mass",
@@ -95,6 +98,19 @@ class Coordinates:
         spread = spread * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
 
+    def moved(self, at: Array, step: Array) -> Array:
+        """Return coordinates after a step to first order, shape (k,).
+
+        A cable stretches by the inverse of its EA, so a step of EA is one of that inverse: along it
+        the motion changes in proportion, which it does not along the logarithm.
+        """
+        moved = at + step
+        for i, name in enumerate(self.prior.names):
+            if field_of(name) == "axial_stiffness":
+                share = max(1.0 - self.scale[i] * step[i], INVERSE_SHARE_MIN)
+                moved[i] = at[i] - np.log(share) / self.scale[i]
+        return moved
+
     def _lengthening(self, name: str, values: Array) -> float:
         """Return by which factor the cable of an EA becomes longer with its run."""
         run = name.replace("axial_stiffness", "run_length")
@@ -144,7 +160,7 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     Raises:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
-    names, scale = _names(robot, settings)
+    names, scale = _names(robot, resolved(settings, Scales(robot).ratios))
     factor = np.array(
         [name in _INERTIA_NAMES or field_of(name) in _FACTOR_FIELDS for name in names]
     )

@@ -92,3 +92,27 @@ def test_a_recording_without_poses_is_refused(run_file, capsys):
     ct.save_recording(replace(ct.load_recording(run_file), poses=None), "blind.parquet")
     assert main(words("blind.parquet")) == 2
     assert "poses" in capsys.readouterr().err
+
+
+def test_several_recordings_are_fitted_together_and_others_scored(run_file, tmp_path, capsys):
+    recording = ct.load_recording(run_file)
+    for k, (start, stop) in enumerate(((0, 60), (40, 100), (20, 80))):
+        ct.save_recording(recording.slice(start, stop), f"part{k}.parquet")
+    words = ["identify", "part0.parquet", "part1.parquet", "--held-out", "part2.parquet"]
+    status = main([*words, "--robot", "carosac", "--json", "x.json", "--report", "report"])
+    printed = capsys.readouterr().out
+    data = json.loads(Path("x.json").read_text())
+    assert status in (0, 1)
+    assert data["recording"] == ["part0.parquet", "part1.parquet", "part2.parquet"]
+    assert data["train"]["recordings"] == 2 and data["test"]["start"] == 0
+    assert [each["train"] is None for each in data["recordings"]] == [False, False, True]
+    assert "2 recordings (fitted)" in printed
+    assert Path("report/recordings.png").is_file()
+
+
+def test_ranges_beside_several_recordings_and_one_given_twice_are_refused(run_file, capsys):
+    ct.save_recording(ct.load_recording(run_file), "other.parquet")
+    assert main(words(run_file, "--held-out", "other.parquet")) == 2
+    assert "only with one recording" in capsys.readouterr().err
+    assert main(["identify", str(run_file), str(run_file), "--robot", "carosac"]) == 2
+    assert "each recording once" in capsys.readouterr().err

@@ -20,55 +20,63 @@ def moved_pose(position: Array, rotation: Array, move: Array) -> tuple[Array, Ar
     return position + move[:3], from_rotation_vector(move[3:]) @ rotation
 
 
-def pose_on_lengths(
+def moved_poses(position: Array, rotation: Array, move: Array) -> tuple[Array, Array]:
+    """Return poses (B, 3), (B, 3, 3) after motions (B, 6); see `moved_pose`."""
+    each = [moved_pose(*pose) for pose in zip(position, rotation, move, strict=True)]
+    return np.array([place for place, _ in each]), np.array([turn for _, turn in each])
+
+
+def poses_on_lengths(
     robot: Robot, position: Array, rotation: Array, length: Array
 ) -> tuple[Array, Array]:
-    """Return the nearest pose, by kinetic energy, at which straight cables have given lengths.
+    """Return the nearest poses, by kinetic energy, at which straight cables have given lengths.
 
     Newton's method; with more than six cables least squares.
 
     Args:
         robot: Robot description, n cables.
-        position: Platform origin in W [m], shape (3,).
-        rotation: From P to W, shape (3, 3).
-        length: Wanted, straight, datum to anchor point [m], shape (n,).
+        position: Platform origins in W [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+        length: Wanted, straight, datum to anchor point [m], shape (B, n).
 
     Returns:
-        Position and rotation there.
+        Positions and rotations there.
     """
     for _ in range(NEWTON_STEPS_MAX):
-        missing = length - straight_length(robot, position[None], rotation[None]).length[0]
+        missing = length - straight_length(robot, position, rotation).length
         if not np.abs(missing).max() > LENGTH_TOLERANCE_SHARE * length.max():
             break
         _, along = _cable_motion(robot, position, rotation, length)
-        position, rotation = moved_pose(position, rotation, along @ missing)
+        move = np.einsum("bij,bj->bi", along, missing)
+        position, rotation = moved_poses(position, rotation, move)
     return position, rotation
 
 
-def twist_on_rates(
+def twists_on_rates(
     robot: Robot, position: Array, rotation: Array, length: Array, rate: Array, twist: Array
 ) -> Array:
-    """Return the nearest twist, by kinetic energy, at which straight cables have given rates.
+    """Return the nearest twists, by kinetic energy, at which straight cables have given rates.
 
     Args:
         robot: Robot description, n cables.
-        position: Platform origin in W [m], shape (3,).
-        rotation: From P to W, shape (3, 3).
-        length: Of the cables [m], shape (n,).
-        rate: Wanted [m/s], shape (n,).
-        twist: Linear first, in W, at the origin, shape (6,).
+        position: Platform origins in W [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+        length: Of the cables [m], shape (B, n).
+        rate: Wanted [m/s], shape (B, n).
+        twist: Linear first, in W, at the origin, shape (B, 6).
 
     Returns:
-        shape (6,).
+        shape (B, 6).
     """
     jacobian, along = _cable_motion(robot, position, rotation, length)
-    return np.asarray(twist + along @ (rate - jacobian @ twist))
+    missing = rate - np.einsum("bij,bj->bi", jacobian, twist)
+    return np.asarray(twist + np.einsum("bij,bj->bi", along, missing))
 
 
 def _cable_motion(
     robot: Robot, position: Array, rotation: Array, length: Array
 ) -> tuple[Array, Array]:
-    """Return the Jacobian of the lengths (n, 6), and the least motion that changes them (6, n)."""
-    jacobian = -structure_matrix(robot, position[None], rotation[None])[0].T
-    mass = mass_matrix(robot, rotation[None], length[None])[0]
+    """Return Jacobians of the lengths (B, n, 6), and the least motions that change them."""
+    jacobian = -structure_matrix(robot, position, rotation).swapaxes(1, 2)
+    mass = mass_matrix(robot, rotation, length)
     return jacobian, constrained_motion(mass, jacobian)

@@ -40,12 +40,13 @@ def constrained_motion(mass: Array, jacobian: Array) -> Array:
     """Return the least motion, by kinetic energy, that changes lengths as required.
 
     Args:
-        mass: Mass matrix at the origin, shape (6, 6).
-        jacobian: Of the lengths, shape (n, 6).
+        mass: Mass matrix at the origin, shape (..., 6, 6).
+        jacobian: Of the lengths, shape (..., n, 6).
 
     Returns:
-        Matrix from length changes to twists, shape (6, n); with over six cables, least squares.
+        Matrix from length changes to twists, shape (..., 6, n); with over six cables, least
+        squares.
     """
-    root = np.linalg.cholesky(mass).T  # twice the energy is the square of root @ twist
+    root = np.linalg.cholesky(mass).swapaxes(-1, -2)  # twice the energy: (root @ twist)^2
     inverse = np.linalg.inv(root)
     return np.asarray(inverse @ np.linalg.pinv(jacobian @ inverse, rcond=1e-9))

@@ -18,27 +18,27 @@ def autoregressive(rho: float, count: int, seed: int) -> np.ndarray:
 
 
 def test_white_errors_all_count():
-    noise = estimate_noise(0.01 * autoregressive(0.0, 4000, 0))
+    noise = estimate_noise([0.01 * autoregressive(0.0, 4000, 0)])
     assert noise.repeats == pytest.approx(np.ones(6), abs=0.6)
     assert noise.sigma == pytest.approx(np.full(6, 0.01), rel=0.05)
 
 
 def test_errors_that_last_count_no_more_often_than_bartlett_says():
     rho = 0.9
-    noise = estimate_noise(0.01 * autoregressive(rho, 20000, 1))
+    noise = estimate_noise([0.01 * autoregressive(rho, 20000, 1)])
     expected = (1.0 + rho**2) / (1.0 - rho**2)  # 1 + 2 (rho^2 + rho^4 + ...)
     assert (noise.repeats > 0.9 * expected).all()
     assert (noise.repeats < 2.5 * expected).all()  # chance correlations count as well
 
 
 def test_no_simulation_is_better_than_its_floor():
-    assert estimate_noise(1e-6 * autoregressive(0.0, 500, 2)).sigma == pytest.approx(SIGMA_MIN)
+    assert estimate_noise([1e-6 * autoregressive(0.0, 500, 2)]).sigma == pytest.approx(SIGMA_MIN)
 
 
 def test_weighted_errors_are_half_the_derivative_of_the_cost():
     errors = 0.01 * autoregressive(0.5, 50, 3)
     errors[7, 2] = 0.3  # far out: counts for less
-    noise = estimate_noise(errors)
+    noise = estimate_noise([errors])
     step = 1e-7
     for row, axis in ((3, 0), (7, 2), (20, 5)):
         moved = errors.copy()
@@ -49,6 +49,6 @@ def test_weighted_errors_are_half_the_derivative_of_the_cost():
 
 def test_a_gross_error_hardly_pulls():
     errors = 0.01 * autoregressive(0.0, 200, 4)
-    noise = estimate_noise(errors)
+    noise = estimate_noise([errors])
     errors[5, 0] = 1.0
     assert (noise.weights(errors) * errors)[5, 0] < 4.0 / (noise.sigma[0] * noise.repeats[0])

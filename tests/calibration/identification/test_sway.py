@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import poses_of
+from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.sway import find_sway
+from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.unknowns import choose_coordinates
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
@@ -25,6 +27,15 @@ EACH = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 
 def at_home(robot):
     return statics.inverse_kinematics(robot, robot.home_position[None])
+
+
+def start(sway, robot, rest, rate, coordinates):
+    """Return position, rotation and twist of one robot that starts."""
+    pose = Pose(position=rest.position, rotation=rest.rotation)
+    states = swaying_states(
+        [sway], [robot], pose, rest.unstrained_length, rate[None], coordinates[None]
+    )
+    return [state[0] for state in states]
 
 
 def at_rest(robot, rest):
@@ -51,8 +62,7 @@ def test_a_large_displacement_keeps_the_straight_lengths_and_the_twist_follows_t
     sway = at_rest(robot, rest)
     coordinates = 0.1 * np.sign(np.sin(np.arange(1, 1 + len(sway.sigma)))) / sway.sigma
     rate = np.linspace(-0.2, 0.3, robot.n)
-    length = rest.unstrained_length[0]
-    position, rotation, twist = sway.state(robot, rest, length, rate, coordinates)
+    position, rotation, twist = start(sway, robot, rest, rate, coordinates)
     tilt = Rotation.from_matrix(rotation @ rest.rotation[0].T).magnitude()
     assert tilt > np.radians(5.0)
     straight = straight_length(robot, position[None], rotation[None]).length
@@ -69,8 +79,7 @@ def test_eight_cables_leave_nothing_free_and_move_with_their_winches():
     assert sway.guess.shape == (0,) and sway.names == ()
     motion = np.array([0.2, -0.1, 0.3, 0.1, 0.2, -0.1])
     rate = -structure_matrix(robot, rest.position, rest.rotation)[0].T @ motion
-    length = rest.unstrained_length[0]
-    position, rotation, twist = sway.state(robot, rest, length, rate, np.zeros(0))
+    position, rotation, twist = start(sway, robot, rest, rate, np.zeros(0))
     assert position == pytest.approx(rest.position[0]) and rotation == pytest.approx(
         rest.rotation[0]
     )
@@ -82,8 +91,7 @@ def test_the_guess_is_the_first_measured_pose_and_speed(robot):
     recording, (position, rotation) = free_oscillation(robot, 1, swing=0.2, duration=2.0)
     rest = at_home(robot)
     sway = find_sway(robot, rest, poses_of(recording), moves=True)
-    still = np.zeros(robot.n)
-    found = sway.state(robot, rest, rest.unstrained_length[0], still, sway.guess)
+    found = start(sway, robot, rest, np.zeros(robot.n), sway.guess)
     swing = np.abs(position - rest.position[0]).max()
     assert found[0] == pytest.approx(position[0], abs=0.02 * swing + 2e-3)
     off = Rotation.from_matrix(found[1] @ rotation[0].T).magnitude()
@@ -96,7 +104,8 @@ def test_what_is_left_for_the_robot_is_the_information_behind_its_covariance():
     """Schur complement: its inverse, with the prior, is the block of the joint inverse."""
     robot = ROBOTS["carosac"]
     unknowns = choose_coordinates(robot, IdentificationSettings())
-    fitter = Fitter(unknowns, None, None, at_rest(robot, at_home(robot)), IdentificationSettings())
+    run = FittedRun(path=None, poses=None, sway=at_rest(robot, at_home(robot)))
+    fitter = Fitter(unknowns, [run], IdentificationSettings())
     count = len(unknowns.prior.names)
     root = np.random.default_rng(0).standard_normal((count + 4, count + 4))
     joint = root @ root.T

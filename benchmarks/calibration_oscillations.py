@@ -1,0 +1,206 @@
+"""Identification from many short free oscillations of robots with pulleys, dry friction and tilt.
+
+Run it from the project's root: ``python -m benchmarks.calibration_oscillations [--seeds N]``. Each
+robot takes some minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from time import perf_counter, process_time
+
+import numpy as np
+from scipy.stats import chi2
+
+import carosac_toolkit as ct
+from benchmarks.results import write_section
+from calibration import IdentificationSettings, identify_runs
+from calibration.identification.result import Identification
+from calibration.identification.synthetic_oscillations import (
+    OscillationSettings,
+    simulate_oscillations,
+)
+from calibration.identification.unknowns import Coordinates, choose_coordinates
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.modes import natural_frequencies
+from carosac_toolkit.recordings.encoders import unstrained_lengths
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameters import values_of
+from carosac_toolkit.robot.robot import Robot
+
+TITLE = "Identification from free oscillations"
+PULLEY_RADIUS_M = 0.04
+DRAWN_SIGMAS_MAX = 2.0  # prior sigmas: no truth is drawn farther away
+FRICTION_SIGMAS = (0.7, 2.0)  # range of dry friction, in its prior sigmas
+FRICTION = ("exit_friction", "anchor_friction")
+# A robot whose geometry was surveyed and whose lengths were calibrated; winches are locked.
+SURVEYED = IdentificationSettings(
+    exit_points=1e-3, anchor_points=5e-4, length_offset=2e-3, length_scale=0.0, length_delay=0.0,
+    length_hysteresis=0.0,
+)  # fmt: skip
+
+
+def robot_with_pulleys(cables: int) -> Robot:
+    """Return a robot of 3 or 4 cables with pulleys."""
+    robot = ct.load_robot("carosac")
+    robot = replace(robot, pulley_radius=np.full(4, PULLEY_RADIUS_M))
+    if cables == 4:
+        return robot
+    per_cable = (
+        "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
+        "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
+        "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
+        "anchor_friction", "length_hysteresis",
+    )  # fmt: skip
+    return replace(
+        robot, name="three", cable_names=("left", "right", "rear"),
+        exit_points=np.array([[-3.0, -2.0, 6.0], [3.0, -2.0, 6.0], [0.0, 3.5, 6.0]]),
+        anchor_points=np.array([[-0.2, -0.15, 0.0], [0.2, -0.15, 0.0], [0.0, 0.25, 0.0]]),
+        mass=10.0, center_of_mass=np.array([0.0, 0.0, -0.2]), inertia=np.diag([0.3, 0.3, 0.4]),
+        workspace_min=np.array([-1.0, -0.5, 1.0]), workspace_max=np.array([1.0, 0.5, 4.0]),
+        home_position=np.array([0.0, 0.0, 2.0]),
+        **{name: getattr(robot, name)[:3] for name in per_cable},
+    )  # fmt: skip
+
+
+def draw_plant(robot: Robot, settings: IdentificationSettings, seed: int) -> Robot:
+    """Draw a robot from what is known before, with dry friction."""
+    unknowns = choose_coordinates(robot, settings)
+    rng = np.random.default_rng([seed, 8])
+    names = unknowns.prior.names
+    point = np.clip(rng.standard_normal(len(names)), -DRAWN_SIGMAS_MAX, DRAWN_SIGMAS_MAX)
+    for k, name in enumerate(names):
+        if name in FRICTION:
+            point[k] = rng.uniform(*FRICTION_SIGMAS)
+    return unknowns.robot_at(np.maximum(point, unknowns.lower))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Errors of an identified robot.
+
+    Attributes:
+        frequency: Largest share by which a slow mode is off [1].
+        friction: The same of dry moments [1].
+        tilt: [rad].
+        center: Of mass [m].
+        nees: Normalised squared error of the parameters, over their number [1].
+        beyond: Parameters that are off by more than three of their sigmas.
+        worst: The worst of them.
+    """
+
+    frequency: float
+    friction: float
+    tilt: float
+    center: float
+    nees: float
+    beyond: int
+    worst: str
+
+
+def score(
+    unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
+) -> Score:
+    """Compare an identified robot with the true one; factors by their logarithm."""
+    estimate = result.estimate
+    truth = values_of(plant, estimate.names)
+    factor = unknowns.factor > 0.0
+    off = np.where(factor, 0.0, estimate.value - truth)
+    off[factor] = np.log(estimate.value[factor] / truth[factor])
+    unit = np.where(factor, estimate.value, 1.0)
+    covariance = estimate.covariance / np.outer(unit, unit)
+    shares = np.abs(off) / np.sqrt(np.diag(covariance))
+    worst = int(np.argmax(shares))
+
+    def off_by(name: str) -> float:
+        return float(abs(values_of(result.robot, [name]) / values_of(plant, [name]) - 1.0)[0])
+
+    tilt = values_of(result.robot, ["pose_tilt.x", "pose_tilt.y"])
+    return Score(
+        frequency=max(_frequency_error(result.robot, plant, run) for run in runs),
+        friction=max(off_by(name) for name in estimate.names if name in FRICTION),
+        tilt=float(np.linalg.norm(tilt - values_of(plant, ["pose_tilt.x", "pose_tilt.y"]))),
+        center=float(np.linalg.norm(result.robot.center_of_mass - plant.center_of_mass)),
+        nees=float(off @ np.linalg.solve(covariance, off) / len(off)),
+        beyond=int((shares > 3.0).sum()),
+        worst=f"{shares[worst]:.1f} {estimate.names[worst]}",
+    )
+
+
+def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
+    """Return the largest share by which a slow mode of one recording is off."""
+    reading = run.unstrained_length.mean(axis=0, keepdims=True)
+    frequency = [
+        natural_frequencies(
+            robot, statics.forward_kinematics(robot, unstrained_lengths(robot, reading))
+        )[0, : 6 - robot.n]
+        for robot in (found, plant)
+    ]
+    return float(np.abs(frequency[0] / frequency[1] - 1.0).max())
+
+
+def measure(
+    cables: int, seed: int, options: OscillationSettings, settings: IdentificationSettings
+) -> tuple[Score, Identification, float, float]:
+    """Identify a drawn robot; return scores, the result, seconds, and seconds of processors."""
+    robot = robot_with_pulleys(cables)
+    plant = draw_plant(robot, settings, seed)
+    runs = simulate_oscillations(plant, seed, options)
+    wall, used = perf_counter(), process_time()
+    result = identify_runs(runs, robot, settings)
+    wall, used = perf_counter() - wall, process_time() - used
+    scores = score(choose_coordinates(robot, settings), result, plant, runs)
+    return scores, result, wall, used
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    seeds = parser.parse_args().seeds
+    options = OscillationSettings()
+    rows = []
+    for cables in (3, 4):
+        scores: list[Score] = []
+        seconds = []
+        for seed in range(seeds):
+            found, result, wall, used = measure(cables, seed, options, SURVEYED)
+            scores.append(found)
+            seconds.append(used)
+            print(cables, seed, found, f"{wall:.0f} s, {used:.0f} s of processors",
+                  result.converged, flush=True)  # fmt: skip
+        count = len(result.estimate.names)
+        low, high = chi2.ppf([0.025, 0.975], seeds * count) / (seeds * count)
+        rows += [
+            f"| {cables} cables | {what} | {bar} | {value} |"
+            for what, bar, value in (
+                ("frequencies, worst of all", "0.5 %",
+                 f"{100.0 * max(s.frequency for s in scores):.2f} %"),
+                ("dry moments, median and worst", "20 %",
+                 f"{100.0 * np.median([s.friction for s in scores]):.0f}, "
+                 f"{100.0 * max(s.friction for s in scores):.0f} %"),
+                ("tilt, median and worst", "1 mrad",
+                 f"{1e3 * np.median([s.tilt for s in scores]):.2f}, "
+                 f"{1e3 * max(s.tilt for s in scores):.2f} mrad"),
+                ("centre of mass, median and worst", "2 mm",
+                 f"{1e3 * np.median([s.center for s in scores]):.2f}, "
+                 f"{1e3 * max(s.center for s in scores):.2f} mm"),
+                ("normalised squared error of the parameters over their number",
+                 f"{low:.2f} to {high:.2f}", f"{np.mean([s.nees for s in scores]):.2f}"),
+                ("beyond three sigmas", "reported",
+                 f"{sum(s.beyond for s in scores)} of {seeds * count}"),
+                ("time of processors, median", "600 s", f"{np.median(seconds):.0f} s"),
+            )
+        ]  # fmt: skip
+    text = [
+        f"{options.count} free oscillations of {options.duration:g} s at {options.rate:g} Hz, none "
+        f"at rest at the start; {seeds} robots each, drawn from what is known before.",
+        "", "| robot | what | bar | measured |", "|---|---|---|---|", *rows,
+    ]  # fmt: skip
+    command = "python -m benchmarks.calibration_oscillations"
+    write_section("calibration-oscillations", TITLE, command, "\n".join(text))
+
+
+if __name__ == "__main__":
+    main()
