@@ -205,10 +205,9 @@ class Fitter:
             sums.append(whole)
         stretches = np.concatenate(sums)
         if self._many:  # the score of each start has vanished with its run
-            own = slice(self._count)
-            left = self._marginal(information)
-            inverse = np.linalg.inv(left + self._precision[own, own])
-            spread = float(np.einsum("bi,ij,bj->", stretches[:, own], inverse, stretches[:, own]))
+            left, shared = self._marginal(information), stretches[:, : self._count]
+            inverse = np.linalg.inv(left + self._precision[: self._count, : self._count])
+            spread = float(np.einsum("bi,ij,bj->", shared, inverse, shared))
             count = len(stretches)
             return max(1.0, spread * count / (count - 1) / float(np.trace(inverse @ left)))
         inverse = np.linalg.inv(information + self._precision)

@@ -85,9 +85,9 @@ def simulate_oscillations(
         positions.append(state.position.copy())
         rotations.append(state.rotation.copy())
         simulator.follow(rest.unstrained_length, 1.0 / chosen.rate)
-    motion = (np.array(positions), np.array(rotations))  # (N, B, 3) and (N, B, 3, 3)
+    position, rotation = np.array(positions), np.array(rotations)  # (N, B, 3) and (N, B, 3, 3)
     return [
-        _recording(plant, chosen, rest.unstrained_length[b], *(part[:, b] for part in motion), rng)
+        _recording(plant, chosen, rest.unstrained_length[b], position[:, b], rotation[:, b], rng)
         for b in range(chosen.count)
     ]
 
