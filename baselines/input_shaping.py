@@ -88,7 +88,7 @@ class InputShapingSettings(LookaheadSettings):
 
 
 class InputShaping:
-    """Sends the lengths of rest at the shaped reference, as the kinematic solver does at its own.
+    """Sends equilibrium lengths at the shaped reference, as the kinematic solver does at its own.
 
     Attributes:
         period: Time between two commands [s].
@@ -141,7 +141,7 @@ class InputShaping:
         self._forget(len(belief.position))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Return the lengths of rest at the shaped reference.
+        """Return the equilibrium lengths at the shaped reference.
 
         Raises:
             UnreachableReference: There is no stable rest within the tension limits there.

@@ -69,7 +69,7 @@ class KinematicSolverController(LookaheadController):
         check_distribution(self._distribution, robot.n)
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Return the lengths of rest at the pose ahead.
+        """Return the equilibrium lengths at the pose ahead.
 
         Raises:
             UnreachableReference: There is no rest within the tension limits there.

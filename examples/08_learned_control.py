@@ -1,6 +1,6 @@
 """Learned controllers beside exact statics: the same move, the same plant, wind and noise.
 
-The kinematic solver computes lengths of rest from exact statics, as if the platform stood still.
+The kinematic solver computes equilibrium lengths by exact statics, as if the platform stood still.
 ``carosac-settle`` learned the same lengths by trial and error (preset `carosac`), and goes the same
 way. ``carosac-residual``, what the robot gets by default, learned in real time to push the platform
 so that it follows and does not sway, with what the estimator believes (preset `residual`).

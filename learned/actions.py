@@ -110,7 +110,7 @@ class Push:
         return look.last_action + self._share * (action - look.last_action)
 
     def lengths(self, applied: Array, look: ObservationInputs) -> Array:
-        """Return the lengths of rest at the displaced target."""
+        """Return the equilibrium lengths at the displaced target."""
         push = self._reach * applied
         if self._feedforward:
             push = push + look.aimed_acceleration

@@ -88,7 +88,7 @@ class LengthMap:
     def lengths(
         self, position: Array, *, push: Array | None = None, offset: Array | None = None
     ) -> Array:
-        """Return the lengths of rest, shape (B, n).
+        """Return the equilibrium lengths, shape (B, n).
 
         Beyond the box, sag, tilt and softness are those of its border.
 

@@ -102,7 +102,7 @@ class MovingWorlds:
             )
 
     def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
-        """Hang on the lengths of rest at positions, with some speed; biases are drawn anew.
+        """Hang on the equilibrium lengths at positions, with some speed; biases are drawn anew.
 
         These lengths are what would be asked for there, of the nominal robot; where its plant hangs
         on them differs by centimetres. Where it cannot rest it starts on the way home from there.

@@ -13,7 +13,7 @@ from carosac_toolkit.robot.robot import Robot
 REST_APPROACH_RATE = Scaled(2.0, "Hz")  # at which the lengths approach those of rest
 ACCELERATION_SHARE_MAX = 0.5  # of the winches' acceleration that is used
 SPEED_SHARE_MAX = 0.2  # of their speed
-REST_DISTANCE_MAX = Scaled(3.0, "m")  # lengths of rest that are farther away are not near
+REST_DISTANCE_MAX = Scaled(3.0, "m")  # equilibrium lengths that are farther away are not near
 
 
 class RestFallback:
@@ -42,7 +42,7 @@ class RestFallback:
             offset: Of lengths sent to modelled ones [m], shape (n,).
 
         Returns:
-            Shape (n,) [m/s^2], and whether lengths of rest were found nearby; else the winches
+            Shape (n,) [m/s^2], and whether equilibrium lengths were found nearby; else the winches
             brake to a stop where they are.
         """
         if not self._asked:
@@ -58,7 +58,7 @@ class RestFallback:
         return np.clip(wanted, -most, most), self._goal is not None
 
     def _rest_near(self, position: Array, length: Array, offset: Array) -> Array | None:
-        """Return the lengths of rest, if there are any within reach."""
+        """Return the equilibrium lengths, if there are any within reach."""
         robot = self._robot
         inside = np.clip(position, robot.workspace_min, robot.workspace_max)
         rest = statics.inverse_kinematics(robot, inside[None])

@@ -17,8 +17,8 @@ class MpcRecord:
         solves: Quadratic programs solved.
         failures: Solves that could not be used, by reason: ``no solution``, ``late``, ``belief``
             (too far from what is predicted) and ``geometry`` (a cable that cannot be).
-        fallbacks: What was done instead: ``shifted plan``, ``to rest`` (at lengths of rest nearby),
-            ``hold`` (braked to rest where it is, as there are no such lengths).
+        fallbacks: What was done instead: ``shifted plan``, ``to rest`` (at equilibrium lengths
+            nearby), ``hold`` (braked to rest where it is, as there are no such lengths).
         held: Commands that were changed to keep speed, acceleration, jerk or length within limits.
         softened: Solves whose plan exceeds a soft limit by over 1 %.
         rebased: Beliefs that disagreed with winches at rest for long, and were taken over.

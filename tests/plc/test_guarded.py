@@ -31,7 +31,7 @@ OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_fini
 
 
 class Kinematics:
-    """Believes the reference's start, and asks for the lengths of rest along the reference."""
+    """Believes the reference's start, and asks for the equilibrium lengths along the reference."""
 
     period, horizon = PERIOD, 0.0
 
