@@ -27,6 +27,7 @@ from carosac_toolkit.reports.page import (
     warnings,
     write_files,
 )
+from carosac_toolkit.robot.model_error import ModelError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -158,7 +159,7 @@ def write_report(
 
 def write_new_robot(
     result: CalibrationResult, robot: str, output: Path | None, *, provenance: str,
-    name: str | None = None,
+    name: str | None = None, model_error: ModelError | None = None,
 ) -> None:  # fmt: skip
     """Write the calibrated robot's file, if one was asked for, and print where it is.
 
@@ -168,9 +169,13 @@ def write_new_robot(
         output: The new file; None: nothing is written.
         provenance: Source of the numbers, one line.
         name: Of the new robot; None keeps the old one.
+        model_error: What the model with the new numbers misses; None: not known.
     """
     if output is not None:
-        write_robot(robot, result.estimate, output, provenance=provenance, name=name)
+        write_robot(
+            robot, result.estimate, output, provenance=provenance, name=name,
+            model_error=model_error,
+        )  # fmt: skip
         print(f"\nnew robot file: {output}")
 
 

@@ -12,6 +12,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.robot.file import parse_robot, robot_path, robot_text
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.parameters import with_values
 from carosac_toolkit.robot.robot import Robot
@@ -102,6 +103,7 @@ def write_robot(
     *,
     provenance: str,
     name: str | None = None,
+    model_error: ModelError | None = None,
 ) -> Robot:
     """Write a robot file with estimated parameters and covariances; comments of the old one stay.
 
@@ -111,6 +113,7 @@ def write_robot(
         output: The new file.
         provenance: Where the numbers come from, one line.
         name: Of the new robot; None keeps the old one.
+        model_error: What the model with the new numbers misses; None: not known.
 
     Returns:
         The robot in the new file.
@@ -122,7 +125,7 @@ def write_robot(
 
     check_output("output", output, source)
     text = robot_text(source)
-    robot = updated(parse_robot(text, source=source), estimate)
+    robot = replace(updated(parse_robot(text, source=source), estimate), model_error=model_error)
     if name is not None:
         robot = replace(robot, name=name)
     document = robot_document(text, robot, provenance=provenance)

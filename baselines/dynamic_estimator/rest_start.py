@@ -13,7 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.rest.held_lengths import pose_on_lengths
+from carosac_toolkit.physics.rest.held_lengths import poses_on_lengths
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -92,8 +92,9 @@ class RestStart:
             twist: Of the platform origin in W, linear first, shape (6,).
         """
         robot, where, s = self._robot, rest.errors, self._settings
-        straight = straight_length(robot, rest.position[None], rest.rotation[None]).length[0]
-        position, rotation = pose_on_lengths(robot, position, rotation, straight)
+        straight = straight_length(robot, rest.position[None], rest.rotation[None]).length
+        place, turn = poses_on_lengths(robot, position[None], rotation[None], straight)
+        position, rotation = place[0], turn[0]
         sway = sway_at(robot, position, rotation, reading)
         noise = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
         covariance = np.array(rest.covariance)

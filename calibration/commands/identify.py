@@ -134,7 +134,7 @@ def run(options: Options) -> CommandResult:
     output = None if result.against_mean.useless else options.output
     write_new_robot(
         result, robot_source.name, output,
-        name=output.stem if output else None,
+        name=output.stem if output else None, model_error=result.model_error,
         provenance=f"carosac identify, {fitted}",
     )  # fmt: skip
     if output != options.output:

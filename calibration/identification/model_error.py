@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.error_growth import SOURCES, ErrorGrowth, error_growth
 from calibration.identification.error_noise import estimate_noise
@@ -71,7 +72,7 @@ class Residuals:
         turned = np.einsum("kij,kj->ki", self.rotation, self.errors[:, 3:])
         return np.hstack([self.errors[:, :3], turned])
 
-    def rows(self, which: slice | Array) -> Residuals:
+    def rows(self, which: NDArray[np.int64]) -> Residuals:
         """Return the residuals at some of the times."""
         growth = ErrorGrowth(
             usual=self.growth.usual, always=self.growth.always[which],
@@ -101,7 +102,7 @@ def find_model_error(runs: Sequence[Residuals]) -> ModelError:
     errors = np.concatenate([run.in_world for run in runs])
     always = np.concatenate([run.growth.always for run in runs])
     parts = np.concatenate([run.parts() for run in runs], axis=1)
-    repeats = np.concatenate([estimate_noise(run.errors).repeats for run in runs]).mean()
+    repeats = float(estimate_noise([run.errors for run in runs]).repeats.mean())
     spread = np.array([SOURCE_SPREAD if name in SOURCES else SENSOR_SPREAD for name in FIELDS])
 
     def cost(log: Array) -> tuple[float, Array]:
@@ -127,3 +128,26 @@ def find_model_error(runs: Sequence[Residuals]) -> ModelError:
         name: getattr(usual, name) * float(np.exp(log))
         for name, log in zip(FIELDS, best.x, strict=True)
     })  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedError:
+    """What a model misses, and how honest that is.
+
+    Attributes:
+        error: The sizes.
+        nees: Mean normalised square per degree of freedom; 1 is honest.
+    """
+
+    error: ModelError
+    nees: float
+
+
+def judge_model_error(trained: Sequence[Residuals], kept: Sequence[Residuals]) -> JudgedError:
+    """Find the sizes on some residuals, and judge them on others, or on these if there are none."""
+    error = find_model_error(trained)
+    judged = kept or trained
+    counts = [len(run.errors) for run in judged]
+    return JudgedError(
+        error=error, nees=float(np.average([run.nees(error) for run in judged], weights=counts))
+    )

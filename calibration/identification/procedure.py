@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
+from calibration.identification.model_error import JudgedError, Residuals, judge_model_error
 from calibration.identification.open_loop import (
     OpenLoopRun,
     OpenLoopStart,
@@ -191,6 +192,7 @@ def _identify(
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
+    judged = _model_error(identified, runs, after)
     against_mean = _against_mean(robot, runs, after)
     scored = _scored(runs, before, after, "test")
     fitted = _scored(runs, before, after, "train")
@@ -220,8 +222,32 @@ def _identify(
         iterations=fit.iterations,
         converged=fit.converged,
         excess=fit.excess,
+        model_error=None if judged is None else judged.error,
+        nees=None if judged is None else judged.nees,
         fitted_samples=sum(len(run.poses.time) for run in trained),
     )
+
+
+def _model_error(
+    identified: Robot, runs: Sequence[_Run], errors: Sequence[Array]
+) -> JudgedError | None:
+    """Return what the identified robot misses; None where no estimator can follow the runs."""
+    try:
+        residuals = [
+            Residuals.of(identified, run.part.recording, run.poses.time, each, run.poses.rotation)
+            for run, each in zip(runs, errors, strict=True)
+        ]
+    except CarosacError:
+        return None
+    trained, kept = (
+        [
+            each.rows(_rows(run.poses, *span))
+            for run, each in zip(runs, residuals, strict=True)
+            if (span := getattr(run.part, name)) is not None
+        ]
+        for name in ("train", "test")
+    )
+    return judge_model_error(trained, kept)
 
 
 def _prepared(

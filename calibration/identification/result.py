@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.validation.first_motion import FirstSpeed
 from carosac_toolkit.validation.scores import PoseScores
@@ -209,6 +210,9 @@ class Identification(CalibrationResult):
         converged: True if it ended by itself.
         excess: Factor by which the data count for less than independent innovations [1].
         fitted_samples: Poses that were fitted.
+        model_error: What the identified robot misses, for the estimators; None: not known.
+        nees: Squares of the errors over what `model_error` says of them, per degree of freedom; of
+            the samples kept back, or of the fitted ones where there are none.
     """
 
     train: ScoredRange
@@ -219,6 +223,8 @@ class Identification(CalibrationResult):
     converged: bool
     excess: float
     fitted_samples: int
+    model_error: ModelError | None
+    nees: float | None
 
     @property
     def rests(self) -> RestErrors:
@@ -254,6 +260,8 @@ class Identification(CalibrationResult):
             "converged": self.converged,
             "fitted_samples": self.fitted_samples,
             "excess": self.excess,
+            "model_error": None if self.model_error is None else asdict(self.model_error),
+            "nees": self.nees,
         }
 
     def sentences(self) -> list[str]:
@@ -275,6 +283,7 @@ class Identification(CalibrationResult):
             f"{self.fitted_samples} poses were fitted; sigmas take into account that their errors "
             f"last for many samples{self._excess()}"
         )
+        lines += self._claims()
         return [*lines, *self._untaught(), *self._contradictions()]
 
     def _scores(self, word: str, part: ScoredRange) -> str:
@@ -312,6 +321,20 @@ class Identification(CalibrationResult):
         if modes:
             line += f"; its sway there was estimated too ({'; '.join(modes)})"
         return [line]
+
+    def _claims(self) -> list[str]:
+        """Say what estimators will claim of this robot."""
+        error = self.model_error
+        if error is None:
+            return ["what the model misses could not be told: estimators keep their own guesses"]
+        where = "fitted" if self.test is None else "kept back"
+        return [
+            f"what the model misses, one sigma, for the estimators: {error.length * 1e3:.2g} mm of "
+            f"each cable, {error.force:.2g} N on the platform, {error.mass:.2g} of its mass, "
+            f"accelerations of {error.acceleration:.2g} m/s^2/sqrt(Hz); poses are noisy by "
+            f"{error.position * 1e3:.2g} mm and {np.degrees(error.rotation):.2g} degrees (NEES "
+            f"{self.nees:.2g} on the samples that were {where}, 1 is honest)"
+        ]
 
     def _excess(self) -> str:
         """Return what the noise model does not explain, or nothing."""

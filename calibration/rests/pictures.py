@@ -8,17 +8,22 @@ import numpy as np
 
 from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER, draw_learnt
 from calibration.rests.result import SENSOR_WORDS, RestCalibration
-from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_plane, views
-from carosac_toolkit.pictures.saving import png
-from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
+from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_plane, set_title, views
+from carosac_toolkit.pictures.style import (
+    DOUBLE_COLUMN_INCH,
+    MEASURED_COLOR,
+    SERIES_COLORS,
+    styled,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@styled
 def draw_poses(result: RestCalibration) -> Figure:
     """Draw where the platform rested; the first rest stands out."""
-    figure = new_figure(11.0, 5.0)
+    figure = new_figure(DOUBLE_COLUMN_INCH, 3.4)
     panels = figure.subplots(1, len(views(result.robot)), squeeze=False)[0]
     for axes, (pair, title) in zip(panels, views(result.robot), strict=True):
         rows, exits = list(pair), result.robot.exit_points
@@ -26,14 +31,15 @@ def draw_poses(result: RestCalibration) -> Figure:
         axes.plot(*result.position[0, rows], "*", color=COLOR_OUTLIER, ms=12, label="first rest")
         axes.plot(*exits[:, rows].T, "s", color=COLOR_AFTER, ms=6, label="exit points")
         set_plane(axes, pair, title)
-    figure.suptitle("Estimated positions of the platform origin")
+    set_title(figure, f"{result.robot.name}: estimated positions of the platform origin")
     put_legend(figure, panels[0])
     return figure
 
 
+@styled
 def draw_sensor_residuals(result: RestCalibration) -> Figure:
     """Draw the residuals of each sensor by rest, in standard deviations of its noise."""
-    figure = new_figure(10.5, 0.8 + 2.0 * len(result.residual))
+    figure = new_figure(DOUBLE_COLUMN_INCH, 0.8 + 1.3 * len(result.residual))
     panels = figure.subplots(len(result.residual), 1, sharex=True, squeeze=False)[:, 0]
     rests = np.arange(len(result.time))
     for axes, (name, residual) in zip(panels, result.residual.items(), strict=True):
@@ -43,12 +49,12 @@ def draw_sensor_residuals(result: RestCalibration) -> Figure:
         axes.set_ylabel(f"{SENSOR_WORDS[name][0]}\n[sigmas]", fontsize=9)
         axes.grid(alpha=0.25)
     panels[-1].set_xlabel("rest")
-    figure.suptitle("Residuals: measured minus predicted readings")
+    set_title(figure, f"{result.robot.name}: measured minus predicted readings")
     return figure
 
 
-def images(result: RestCalibration) -> dict[str, tuple[bytes, str]]:
-    """Draw all pictures; return PNG and caption by name."""
+def images(result: RestCalibration) -> dict[str, tuple[Figure, str]]:
+    """Draw all pictures; return each with its caption, by name."""
     drawn = {
         "poses": (draw_poses(result), "Where the platform rested."),
         "residuals": (
@@ -58,5 +64,8 @@ def images(result: RestCalibration) -> dict[str, tuple[bytes, str]]:
         ),
     }
     if np.isfinite(result.estimate.prior_sigma).any():
-        drawn["learnt"] = (draw_learnt(result.estimate), "Prior and posterior of each parameter.")
-    return {name: (png(figure), caption) for name, (figure, caption) in drawn.items()}
+        drawn["learnt"] = (
+            draw_learnt(result.robot.name, result.estimate),
+            "Prior and posterior of each parameter.",
+        )
+    return drawn

@@ -16,7 +16,11 @@ from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement, cable_drag_of
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, upload_plants
-from carosac_toolkit.physics.rest.held_lengths import moved_pose, pose_on_lengths, twist_on_rates
+from carosac_toolkit.physics.rest.held_lengths import (
+    moved_poses,
+    poses_on_lengths,
+    twists_on_rates,
+)
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -95,14 +99,15 @@ def _starts(
     twist: Array,
 ) -> tuple[Placement, Array]:
     """Return where robots start, and their twists (B, 6)."""
-    poses, twists = [], []
+    starts = []
+    away = moved_poses(rest.position, rest.rotation, move)
     for b, robot in enumerate(robots):
-        away = moved_pose(rest.position[b], rest.rotation[b], move[b])
-        held = straight_length(robot, rest.position[b : b + 1], rest.rotation[b : b + 1]).length[0]
-        poses.append(pose_on_lengths(robot, *away, held))
-        rate = (length[1, b] - length[0, b]) / (time[1] - time[0])
-        twists.append(twist_on_rates(robot, *poses[-1], length[0, b], rate, twist[b]))
-    position, rotation = (np.array(values) for values in zip(*poses, strict=True))
+        one = slice(b, b + 1)
+        held = straight_length(robot, rest.position[one], rest.rotation[one]).length
+        pose = poses_on_lengths(robot, away[0][one], away[1][one], held)
+        rate = (length[1, one] - length[0, one]) / (time[1] - time[0])
+        starts.append((*pose, twists_on_rates(robot, *pose, length[0, one], rate, twist[one])))
+    position, rotation, twists = (np.concatenate(part) for part in zip(*starts, strict=True))
     cables = hanging_cables(Fleet(robots), position, rotation, length[0], device=_DEVICE)
     if not cables.valid.all():
         raise CarosacError("a cable cannot hang where the motion starts")
