@@ -132,7 +132,9 @@ def test_an_ahrs_may_head_anywhere(found):
 
 def test_lengths_alone_are_refused_with_what_would_help():
     one = scene(0, tension=False, attitude=False, swivel=False)
-    with pytest.raises(Unobservable, match="lengths leave the first pose unknown") as caught:
+    with pytest.raises(
+        Unobservable, match="rests with lengths leave the first pose unknown"
+    ) as caught:
         calibrate_rests(one.recording, surveyed_robot())
     assert "load cells or an AHRS or swivel angles" in str(caught.value)
 
