@@ -276,12 +276,12 @@ class Fitter:
         Coarse ones come from longer time steps: half the work, and the same within a percent or so.
         That leads to where the search ends within a sigma, and exact ones lead to its end.
         """
-        ratio = COARSE_STEP_RATIO if coarse else 1.0
+        time_step = COARSE_STEP_RATIO * self._settings.time_step if coarse else self._time_step
         steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
         varied = [own[self._searched[own]] for own in self._own]
         errors, good = self._simulated(
             [np.vstack([at, at + steps[rows]]) for rows in varied],
-            ratio * self._settings.time_step,
+            time_step,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
