@@ -92,6 +92,7 @@ class Fitter:
         self._runs = tuple(runs)
         self._settings = settings
         self._many = len(self._runs) >= RUNS_APART_MIN
+        self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
         self._time_step = settings.time_step * (MANY_STEP_RATIO if self._many else 1.0)
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
@@ -132,10 +133,10 @@ class Fitter:
         excess = self._excess(state, noise, information)
         own = slice(self._count)
         inverse = np.linalg.inv(information + self._precision)
-        scores = excess * information  # as they vary, beside the prior
+        scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
-        information /= excess
+        information /= self._axes * excess
         return CoordinateFit(
             coordinates=at[own],
             covariance=np.asarray(covariance[own, own], float),
@@ -166,7 +167,7 @@ class Fitter:
         """Search from somewhere, for some steps or to the end."""
         damping, settled, coarse = DAMPING_START, False, True
         errors = self._errors_at(at)
-        least = SETTLED_DECREASE * (1.0 if self._many else CORRELATED_AXES)
+        least = SETTLED_DECREASE * self._axes
         for count in range(1, (steps or self._settings.iterations) + 1):
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
@@ -212,7 +213,7 @@ class Fitter:
             return max(1.0, spread * count / (count - 1) / float(np.trace(inverse @ left)))
         inverse = np.linalg.inv(information + self._precision)
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
-        return CORRELATED_AXES * max(1.0, spread / float(np.trace(inverse @ information)))
+        return max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""
@@ -275,12 +276,12 @@ class Fitter:
         Coarse ones come from longer time steps: half the work, and the same within a percent or so.
         That leads to where the search ends within a sigma, and exact ones lead to its end.
         """
-        ratio = COARSE_STEP_RATIO if coarse else 1.0
+        time_step = COARSE_STEP_RATIO * self._settings.time_step if coarse else self._time_step
         steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
         varied = [own[self._searched[own]] for own in self._own]
         errors, good = self._simulated(
             [np.vstack([at, at + steps[rows]]) for rows in varied],
-            ratio * self._settings.time_step,
+            time_step,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):

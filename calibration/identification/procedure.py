@@ -401,7 +401,9 @@ def _samples(runs: Sequence[_Run], which: str) -> Samples | None:
         return None
     first = spans[0][0] if len(spans) == 1 else 0
     stop = first + sum(stop - start for start, stop in spans)
-    return Samples(start=first, stop=stop, runs=len(spans))
+    names = [run.part.name for run in runs if _span(run, which) is not None]
+    name = names[0] if len(spans) == 1 < len(runs) else None
+    return Samples(start=first, stop=stop, runs=len(spans), name=name)
 
 
 def _rows_of(run: _Run, which: str) -> NDArray[np.int64]:

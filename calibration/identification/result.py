@@ -28,17 +28,21 @@ class Samples:
         start: First length sample.
         stop: One past the last, of all recordings together.
         runs: Number of recordings.
+        name: Of the recording, where it is one of several.
     """
 
     start: int
     stop: int
     runs: int
+    name: str | None = None
 
     @property
     def words(self) -> str:
         """Name what was scored."""
         if self.runs > 1:
             return f"{self.runs} recordings"
+        if self.name is not None:
+            return self.name
         return f"samples {self.start}:{self.stop}"
 
     def data(self) -> dict[str, Any]:

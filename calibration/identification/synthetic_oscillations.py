@@ -46,7 +46,7 @@ class OscillationSettings:
     count: int = 40
     duration: float = 10.0
     rate: float = 100.0
-    swing: float = Scaled(0.15, "m")
+    swing: float = Scaled(0.1, "m")
     before: float = Scaled(0.5, "s")
     workspace: float = 0.5
     position_noise: float = Scaled(1e-3, "m")

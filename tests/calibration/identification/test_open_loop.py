@@ -89,3 +89,15 @@ def test_readings_that_mean_negative_lengths_are_refused(robot, swinging):
     odd = replace(robot, length_offset=np.full(4, 50.0))
     with pytest.raises(CarosacError, match="do readings and offsets belong"):
         moved([odd], swinging, swinging.time[:3])
+
+
+def test_a_cable_that_stands_still_is_held_at_its_mean_and_a_slow_one_is_followed():
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 5.0, 0.02)
+    noise = 1e-4 * rng.standard_normal((len(time), 2))
+    lengths = np.column_stack([np.full(len(time), 5.0), 5.0 + 4e-4 * time])
+    path = LengthPath(Recording(time=time, unstrained_length=lengths + noise))
+    seen = path.at(time)
+    assert np.ptp(seen[:, 0]) < 1e-12
+    assert seen[0, 0] == pytest.approx((lengths + noise)[:, 0].mean(), abs=1e-12)
+    assert seen[:, 1] == pytest.approx(lengths[:, 1], abs=1e-4)

@@ -105,7 +105,7 @@ def test_what_is_left_for_the_robot_is_the_information_behind_its_covariance():
     robot = ROBOTS["carosac"]
     unknowns = choose_coordinates(robot, IdentificationSettings())
     run = FittedRun(path=None, poses=None, sway=at_rest(robot, at_home(robot)))
-    fitter = Fitter(unknowns, [run], IdentificationSettings())
+    fitter = Fitter(unknowns, [run], IdentificationSettings(time_step=0.01))
     count = len(unknowns.prior.names)
     root = np.random.default_rng(0).standard_normal((count + 4, count + 4))
     joint = root @ root.T

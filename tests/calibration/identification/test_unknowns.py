@@ -11,6 +11,7 @@ import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.parameters import values_of
 
@@ -107,3 +108,33 @@ def test_settings_refuse_what_is_no_sigma():
         IdentificationSettings(inertia=-1.0)
     with pytest.raises(InvalidField, match="rate"):
         IdentificationSettings(rate=0.0)
+
+
+def test_a_step_of_stiffness_changes_its_inverse_in_proportion(unknowns):
+    row = unknowns.prior.names.index("axial_stiffness")
+    step = np.zeros(len(unknowns.prior.names))
+    before = 1.0 / unknowns.robot.axial_stiffness
+    for size in (-1.2, -0.3, 0.4):
+        step[row] = size
+        moved = unknowns.robot_at(unknowns.moved(np.zeros(len(step)), step))
+        expected = before * (1.0 - unknowns.scale[row] * size)
+        assert 1.0 / moved.axial_stiffness == pytest.approx(expected)
+    step[row] = 5.0
+    moved = unknowns.robot_at(unknowns.moved(np.zeros(len(step)), step))
+    assert (moved.axial_stiffness > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["desktop", "stadium"])
+def test_prior_lengths_grow_with_the_robot(name, unknowns):
+    robot = ct.load_robot(name)
+    other = choose_coordinates(robot, IdentificationSettings())
+    ratio = Scales(robot).ratios.length
+    for field in ("center_of_mass.x", "run_length", "anchor_points"):
+        mine, its = (
+            next(
+                scale for name, scale in zip(each.prior.names, each.scale, strict=True)
+                if name.startswith(field)
+            )
+            for each in (unknowns, other)
+        )  # fmt: skip
+        assert its == pytest.approx(ratio * mine)
