@@ -78,6 +78,7 @@ def updated(robot: Robot, estimate: ParameterEstimate) -> Robot:
         calibrated=tuple(names),
         calibration_covariance=covariance,
         exit_covariance=_exit_covariance(robot, names, covariance),
+        model_error=None,  # the model is another one
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,9 @@ from carosac_toolkit.validation.plausibility import find_contradictions
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
+# Mean of the error of orientation, above which the tracked body is turned on the platform.
+BODY_TURN_MIN_RAD = 0.035
+BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
 START_DISTANCE_MAX = Scaled(0.5, "m")
 # A platform that moves by less does not show its dynamics; sensors do not shrink with it.
@@ -199,7 +202,7 @@ def _identify(
     assert fitted is not None, "something was fitted"
     return Identification(
         before=robot,
-        warnings=tuple(_warnings(fit, scored, against_mean)),
+        warnings=(*_warnings(fit, scored, against_mean), *_turned_body(runs, after)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
         train=fitted,
@@ -447,6 +450,26 @@ def _warnings(
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:
         lines.append("the identified robot is worse than before on what was kept back")
     return lines
+
+
+def _turned_body(runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]:
+    """Warn of poses whose body is turned against the platform: a constant error of orientation."""
+    fitted = np.concatenate([
+        each[_rows(run.poses, *run.part.train)]
+        for run, each in zip(runs, errors, strict=True) if run.part.train is not None
+    ])  # fmt: skip
+    turn = -fitted[:, 3:].mean(axis=0)  # of the tracked body, in the axes of the platform
+    spread = float(np.sqrt(fitted[:, 3:].var(axis=0).sum()))
+    angle = float(np.linalg.norm(turn))
+    if angle <= max(BODY_TURN_MIN_RAD, BODY_TURN_SIGMAS * spread):
+        return
+    x, y, z = np.degrees(turn)
+    yield (
+        f"the measured poses are turned against the identified platform by {np.degrees(angle):.1f} "
+        f"degrees all the time (rotation vector {x:.1f}, {y:.1f}, {z:.1f} degrees in its axes): is "
+        "the tracked body turned on the platform? Its parameters cannot be trusted until the poses "
+        "are those of the platform"
+    )
 
 
 def _rests(run: _Run, robot: Robot, identified: Robot, rate: float) -> RestErrors:

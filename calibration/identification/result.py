@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
+from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.parameter_names import field_of
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.first_motion import FirstSpeed
 from carosac_toolkit.validation.scores import PoseScores
 
@@ -229,6 +232,11 @@ class Identification(CalibrationResult):
     fitted_samples: int
     model_error: ModelError | None
     nees: float | None
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The identified robot, with the covariance of its parameters and what its model misses."""
+        return replace(updated(self.before, self.estimate), model_error=self.model_error)
 
     @property
     def rests(self) -> RestErrors:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from calibration.identification.procedure import identify
@@ -13,6 +14,8 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import to_matrix
+from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.robot.parameters import values_of
 
 FEW = IdentificationSettings(
@@ -69,6 +72,24 @@ def test_the_identified_robot_holds_what_was_found(found):
     assert values_of(robot, estimate.names) == pytest.approx(estimate.value)
     assert robot.calibrated == estimate.names
     assert robot.calibration_covariance == pytest.approx(estimate.covariance)
+
+
+def test_what_the_model_misses_is_told_and_honest_on_samples_kept_back(found, robot):
+    assert found.robot.model_error == found.model_error != robot.model_error
+    assert 0.3 < found.nees < 3.0
+    assert found.model_error.position < 5e-3 and found.model_error.rotation < 5e-3
+    assert found.data()["model_error"]["position"] == found.model_error.position
+
+
+def test_a_body_that_is_turned_on_the_platform_is_named(robot, run):
+    """Its lengths fit as before: only a constant error of the orientation shows it."""
+    poses = run.recording.poses
+    turn = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+    turned = PoseSamples.from_rotation(
+        poses.time, poses.position, to_matrix(poses.quaternion) @ turn
+    )
+    found = identify(replace(run.recording, poses=turned), robot, FEW, train=(0, 300))
+    assert any("turned against the identified platform" in line for line in found.warnings)
 
 
 def test_numbers_are_ready_for_json_and_sentences_for_people(found):
