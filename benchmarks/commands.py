@@ -182,7 +182,9 @@ def recording(folder: Path) -> str:
     models = "kinematic_solver dynamic_estimator simulator"
     scores = carosac(f"validate {path} {late} --models {models} --output w", folder)
     for name, model in scores["models"].items():
-        add(name, model["rmse_m"], "identified", "400:600")
+        claimed = model["nees"]
+        nees = "-" if claimed is None else f"{claimed:.2f}"
+        add(name, model["rmse_m"], "identified", "400:600", nees)
     for poses in ("withheld", "half"):
         smoothed = carosac(f"smooth {path} {late} --poses {poses} --report s-{poses}", folder)
         of = smoothed["scores"]["all"]
