@@ -11,6 +11,7 @@ from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.physics.motion.length_curve import (
     LENGTH_SEGMENT_MAX,
     curved_length,
+    is_curved,
     segment_ends,
 )
 from carosac_toolkit.physics.scales import Scales
@@ -224,7 +225,7 @@ class LengthReadings:
         k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
         if len(self.time) == 1 or time <= self.time[0]:
             return np.asarray(self.length[0])
-        if k > 1 and self.time[k] - self.time[k - 1] > self.tolerances.segment:
+        if k > 1 and is_curved(self.time[k - 2 : k + 1], self.tolerances.segment):
             return curved_length(self.time[k - 2 : k + 1], self.length[k - 2 : k + 1], time)
         share = (time - self.time[k - 1]) / (self.time[k] - self.time[k - 1])
         return np.asarray(self.length[k - 1] + share * (self.length[k] - self.length[k - 1]))

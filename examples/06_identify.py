@@ -27,10 +27,11 @@ found = identify(run.recording, robot, train=(0, cut), test=(cut, count))
 figure, (motion, learnt) = plt.subplots(
     1, 2, figsize=(13.0, 4.4), layout="constrained", width_ratios=(1.6, 1.0)
 )
-time, measured = found.measured.time, found.measured.position
+fitted = found.runs[0]
+time, measured = fitted.measured.time, fitted.measured.position
 for label, position, color in (
-    ("nominal robot", found.position_before, "0.6"),
-    ("identified robot", found.position_after, "#0072b2"),
+    ("nominal robot", fitted.position_before, "0.6"),
+    ("identified robot", fitted.position_after, "#0072b2"),
 ):  # fmt: skip
     motion.plot(time, 1e3 * (position - measured)[:, 0], color=color, lw=1.2, label=label)
 motion.axvline(run.recording.time[cut], color="#d55e00", lw=1.5)

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.physics.motion.length_curve import curved_length, segment_ends
+from carosac_toolkit.physics.motion.length_curve import curved_length, is_curved, segment_ends
 
 PIECE_DURATION_MIN_S = 1e-9  # less is rounding
 
@@ -63,9 +63,10 @@ class DelayedLengths:
     def _pieces(self, now: float, end: float) -> list[tuple[float, Array]]:
         """Return the pieces towards the next lengths, from a time to another [s]."""
         when, target = self._pending[0]
-        samples = (*self._past, (when, target))
-        if len(samples) == 3 and when - samples[1][0] > self._segment:
-            time, length = (np.array(column) for column in zip(*samples, strict=True))
+        time, length = (
+            np.array(column) for column in zip(*self._past, (when, target), strict=True)
+        )
+        if len(time) == 3 and is_curved(time, self._segment):
             ends = segment_ends(now, end, self._segment)
             reached = [curved_length(time, length, stop) for stop in ends]
         else:

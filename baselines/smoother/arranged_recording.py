@@ -26,6 +26,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
@@ -66,6 +67,17 @@ class ArrangedRecording:
     used: NDArray[np.bool_]
     outliers: int
     pose_gap: float
+
+    @property
+    def seen(self) -> Recording:
+        """The recording with no other poses than those that are used."""
+        poses = self.recording.poses
+        if poses is None or not self.used.any():
+            return replace(self.recording, poses=None)
+        kept = {
+            name: getattr(poses, name)[self.used] for name in ("time", "position", "quaternion")
+        }
+        return replace(self.recording, poses=PoseSamples(**kept))
 
     def reading(self, time: float, delay: float) -> Array:
         """Return the length reading that counts at a time after a delay [s], in m, shape (n,)."""

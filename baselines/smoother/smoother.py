@@ -159,7 +159,7 @@ def _rest(
             f"the robot {robot.name!r} cannot hang at rest on the first recorded lengths "
             f"({lengths} m)"
         )
-    first = first_motion(measured.recording, robot) if measured.poses else None
+    first = first_motion(measured.seen, robot) if measured.poses else None
     if first is None or first.twist is None:
         return rest
     return start.moving(rest, reading, first.position[0], first.rotation[0], first.twist[0])

@@ -64,8 +64,8 @@ def draw_motion(result: Identification, run: IdentifiedRun, recording: Recording
         axes.margins(x=0.005)
     figure.align_ylabels(rows)
     rows[-1].set_xlabel("time [s]")
-    name = f", {run.name}" if len(result.runs) > 1 else ""
-    set_title(figure, f"{result.robot.name}{name}: open-loop simulation minus measured pose")
+    name = f" in {run.name}" if len(result.runs) > 1 else ""
+    set_title(figure, f"{result.robot.name}: open-loop simulation minus measured pose{name}")
     put_legend(figure, rows[0])
     return figure
 

@@ -138,7 +138,7 @@ def _finish(
             print(wrapped(line, width, "* "))
     provenance = made_with() | {"time": f"{took / 60:.1f} minutes, earlier results excluded"}
     for part in shown:
-        print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
+        print(f"\n{text_tables(part.blocks, width, before=f'{part.task.part.capitalize()}. ')}")
     data: dict[str, Any] = record(suite, shown, provenance, command) | {"minutes": took / 60}
     origin = "\n".join([f"    {name}: {text}" for name, text in
                         {"command": command, **provenance}.items() if text])  # fmt: skip

@@ -110,3 +110,14 @@ def test_rare_readings_are_joined_by_what_a_winch_can_do():
     assert ends[-1] == 1.0 and np.diff([0.5, *ends]).max() <= TOLERANCES.segment + 1e-9
     for time in ends:
         assert found.at(time) == pytest.approx(true(time), abs=1e-9)
+
+
+def test_readings_that_drop_out_leave_a_still_cable_straight():
+    """The slope between two readings in quick succession is noise, and no part of a long gap."""
+    noise = np.random.default_rng(0).normal(scale=1e-4, size=(40, 4))
+    times = [*(0.002 * np.arange(20)), 0.338, *(0.338 + 0.002 * np.arange(1, 10))]
+    found = LengthReadings.first(0.0, 6.0 + noise[0], TOLERANCES)
+    for time, error in zip(times[1:22], noise[1:22], strict=True):
+        found = found.taken(time, 6.0 + error, ROBOT, JUMP, 0.0)
+    for time in (0.1, 0.2, 0.3):
+        assert found.at(time) == pytest.approx(np.full(4, 6.0), abs=5e-4)

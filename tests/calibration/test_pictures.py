@@ -9,7 +9,7 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration import calibrate_lengths, calibrate_motor_angles, calibrate_tachymeter
-from calibration.identification.pictures import draw_motion, draw_rests
+from calibration.identification.pictures import draw_motion, draw_rests, draw_runs
 from calibration.lengths.pictures import draw_poses
 from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.report import report_content as lengths_report
@@ -32,14 +32,16 @@ def identified():
     swing = 0.02 * np.sin(time)[:, None]
     resting = (time % 5.0 > 2.5)[:, None]
     length = 5.0 + np.cumsum(np.where(resting, 0.0, 0.01), axis=0) * np.ones(4)
-    result = SimpleNamespace(
-        robot=ROBOT, measured=SimpleNamespace(time=time, position=np.zeros((len(time), 3))),
-        position_before=3.0 * swing * np.ones(3), errors=swing * np.ones(6),
-        train=SimpleNamespace(stop=120), test=SimpleNamespace(stop=200),
-        rests=SimpleNamespace(
-            starts=np.arange(25, 1225, 50), before=np.full(24, 0.02), after=np.full(24, 0.003)
-        ),
+    rests = SimpleNamespace(
+        starts=np.arange(25, 1225, 50), before=np.full(24, 0.02), after=np.full(24, 0.003)
+    )
+    run = SimpleNamespace(
+        name="run.csv", measured=SimpleNamespace(time=time, position=np.zeros((len(time), 3))),
+        position_before=3.0 * swing * np.ones(3), errors=swing * np.ones(6), rmse=(0.02, 0.003),
+        train=SimpleNamespace(stop=120), test=SimpleNamespace(stop=200), rests=rests,
     )  # fmt: skip
+    held = SimpleNamespace(**{**vars(run), "name": "other.csv", "train": None})
+    result = SimpleNamespace(robot=ROBOT, runs=(run, held), rests=rests)
     return result, Recording(time=time, unstrained_length=length)
 
 
@@ -66,7 +68,11 @@ def figures():
         for name, (figure, _) in content.images.items()
     }
     found |= {"lengths alone": draw_poses(lengths, None)}
-    found |= {"motion": draw_motion(*identified()), "rests": draw_rests(identified()[0])}
+    result, recording = identified()
+    found |= {
+        "motion": draw_motion(result, result.runs[0], recording), "rests": draw_rests(result),
+        "runs": draw_runs(result),
+    }  # fmt: skip
     return {name: laid_out(figure) for name, figure in found.items()}
 
 

@@ -14,6 +14,21 @@ from carosac_toolkit.base.scaled import Scaled
 
 # Over which lengths may go straight: a twentieth of a quick sway.
 LENGTH_SEGMENT_MAX = Scaled(0.05, "s")
+EVEN_RATIO_MIN = 0.3  # of an interval to the next: a shorter one does not tell the slope
+
+
+def is_curved(time: Array, segment: float) -> bool:
+    """Return True if lengths between the last two of three samples need a parabola.
+
+    After an interval that is short against the last one, as where readings drop out, its slope is
+    noise, and so is a parabola.
+
+    Args:
+        time: Of the samples, increasing [s], shape (3,).
+        segment: Interval up to which lengths go straight [s].
+    """
+    before, last = np.diff(time)
+    return bool(last > segment and before > EVEN_RATIO_MIN * last)
 
 
 def curved_length(time: Array, length: Array, when: float) -> Array:

@@ -106,13 +106,21 @@ def _lowest_p(block: PairedBlock) -> float:
     return min(1.0, _others(block) * smallest_p(block.seeds))
 
 
-def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
-    """Format the paired differences of tracking and estimation within a width."""
+def text_tables(blocks: Sequence[PairedBlock], width: int, *, before: str = "") -> str:
+    """Format the paired differences of tracking and estimation within a width.
+
+    Args:
+        blocks: One table each.
+        width: Of the terminal, in characters.
+        before: What stands before each title.
+    """
     parts = []
     for block in blocks:
         if any(name in differing(block) for name in TERMINAL_QUANTITIES):
             sheet = _differences(block, TERMINAL_QUANTITIES)
-            parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}")
+            parts.append(
+                wrapped(f"{before}Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}"
+            )
     return "\n\n".join(parts)
 
 

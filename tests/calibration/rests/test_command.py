@@ -9,6 +9,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.pictures.saving import PICTURE_FORMATS
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.files import save_recording
 from tests.calibration.rests.scenes import scene
@@ -40,7 +41,8 @@ def test_a_recording_without_poses_gives_zeros_report_and_numbers(drawn, rests, 
     assert np.linalg.norm(np.array(data["positions_m"][0]) - drawn.position[0]) < 0.03
     page = (folder / "report.html").read_text()
     assert "Errors of other sensors" in page and "Poses of rest" in page
-    assert {p.name for p in folder.glob("[!.]*")} == {"report.html", "poses.png", "residuals.png"}
+    pictures = {f"{name}.{kind}" for name in ("poses", "residuals") for kind in PICTURE_FORMATS}
+    assert {p.name for p in folder.glob("[!.]*")} == {"report.html", *pictures}
     robot = ct.load_robot(str(output))
     assert robot.calibrated == tuple(f"length_offset[{c}]" for c in robot.cable_names)
     assert robot.calibration_covariance is not None
