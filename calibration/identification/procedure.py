@@ -123,6 +123,9 @@ def identify_runs(
     if not recordings:
         raise InvalidField("recordings", "none", "at least one to be fitted")
     every = [*recordings, *held_out]
+    if names is not None and len(names) != len(every):
+        allowed = f"{len(every)} names, one for each recording and then each held out"
+        raise InvalidField("names", f"{len(names)} names", allowed)
     called = names or [f"recording {k + 1}" for k in range(len(every))]
     parts = [
         _Part(

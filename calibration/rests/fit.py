@@ -90,8 +90,9 @@ def fit(
         rounds += 1
         pull = prior.information @ (prior.mean - value)
         step = solve(linear, prior.information, pull, damping=damping)
-        new_value, new_length = value + step.shared, length + step.own
-        found = model.equilibria(new_value, np.maximum(new_length, LENGTH_MIN_SHARE * length), rest)
+        new_value = value + step.shared
+        new_length = np.maximum(length + step.own, LENGTH_MIN_SHARE * length)
+        found = model.equilibria(new_value, new_length, rest)
         new_cost = _cost(model, new_value, new_length, found, weight)
         small = abs(cost - new_cost) < COST_SETTLED and damping < DAMPING_SETTLED_MAX
         converged = bool(found.converged.all()) and small

@@ -65,7 +65,7 @@ def rest_readings(recording: Recording) -> RestReadings:
     means: dict[str, tuple[Stamped | None, Mean]] = {
         "tension": (recording.tension, _mean),
         "attitude": (recording.attitude, _mean_rotation),
-        "inclination": (recording.inclination, _mean),
+        "inclination": (recording.inclination, _mean_angle),
         "swivel_angle": (recording.swivel_angle, _mean_angle),
     }
     kept, skipped = np.ones(len(rows), dtype=np.bool_), dict[str, int]()

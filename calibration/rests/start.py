@@ -92,8 +92,8 @@ class _StraightProblem:
         half = 0.5 * (robot.workspace_max - robot.workspace_min)
         self._place_sigma = half + self._length_noise
         self._pulleys = np.flatnonzero(robot.pulley_radius > 0.0)
-        scale = 1.0 if robot.length_scale is None else robot.length_scale
-        self._length = readings.length / scale
+        self._scale = np.ones(robot.n) if robot.length_scale is None else robot.length_scale
+        self._length = readings.length / self._scale
 
     def fit(self, first: Array) -> RestStart:
         """Fit poses and zeros, the first rest at some place to begin with."""
@@ -118,7 +118,9 @@ class _StraightProblem:
                 sag = self._sag(position, rotation)
             elif round_ > ROUNDS_ALONE + 11 and abs(before - cost) < 1e-6 * cost:
                 break
-        return RestStart(position=position, rotation=rotation, offset=offset, cost=cost)
+        return RestStart(
+            position=position, rotation=rotation, offset=self._scale * offset, cost=cost
+        )
 
     @property
     def _step_max(self) -> Array:

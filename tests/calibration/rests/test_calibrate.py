@@ -74,6 +74,15 @@ def test_nearly_exact_sensors_find_the_pose_nearly_exactly():
     assert np.linalg.norm(error[3:]) < 1e-5
 
 
+def test_encoders_that_count_another_unit_are_read_by_their_scale():
+    robot = replace(surveyed_robot(), length_scale=np.full(4, 1.25))
+    one = scene(0, robot)
+    result = calibrate_rests(one.recording, robot)
+    error = pose_error(one, result)
+    assert not result.blunders and not result.warnings
+    assert error @ np.linalg.solve(result.pose_covariance[0], error) < chi2.ppf(0.999, 6)
+
+
 def test_eight_cables_of_a_room_meet_the_bar():
     robot = similar_robot(ct.load_robot("warehouse"), 1.0 / 3.0)
     robot = replace(robot, exit_covariance=np.tile(1e-6 * np.eye(3), (8, 1, 1)))
