@@ -213,7 +213,10 @@ class _Scoring:
         )
 
     def _nees(self, run: ModelRun, pose: Pose, good: NDArray[np.bool_]) -> float | None:
-        """Return how the errors compare with what the model claims; None if it claims nothing."""
+        """Return how the errors compare with what the model claims; None if it claims nothing.
+
+        A claim that no error can have, a covariance that is not positive definite, is none.
+        """
         if run.covariance is None:
             return None
         covariance = run.covariance[self._index]
@@ -221,9 +224,12 @@ class _Scoring:
         if not some.any():
             return None
         noise = measured_pose_noise(self._robot)
-        squares = normalised_pose_squares(
-            _rows(self._measured, some), _rows(pose, some), covariance[some], noise
-        )
+        try:
+            squares = normalised_pose_squares(
+                _rows(self._measured, some), _rows(pose, some), covariance[some], noise
+            )
+        except InvalidField:
+            return None
         return float(squares.mean())
 
     def _lengths(

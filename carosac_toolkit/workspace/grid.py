@@ -175,8 +175,9 @@ def line_in_box(
         Coordinates on the line [m]; the first is not below the second if it misses the box.
     """
     low, high = -np.inf, np.inf
+    size = float(np.linalg.norm(upper - lower))
     for k in range(2):
-        if along[k] == 0.0:
+        if abs(along[k]) * size <= tolerance:  # along this side, but for rounding
             if not lower[k] - tolerance <= origin[k] <= upper[k] + tolerance:
                 return 0.0, 0.0
             continue
