@@ -273,6 +273,8 @@ def _jitter(comparison: _Comparison, shift: float) -> tuple[float, float]:
     speed = np.linalg.norm(steady, axis=1)
     slow = white[speed <= np.quantile(speed, SLOW_SHARE)]
     noise = slow.T @ slow / len(slow)
+    if not np.trace(noise) > 0.0:  # computed values, without errors
+        return 0.0, 0.0
     noise += 1e-6 * np.trace(noise) * np.eye(len(noise))
     root = np.linalg.inv(np.linalg.cholesky(noise))  # makes the noise alike in all directions
     white, steady = white @ root.T, steady @ root.T

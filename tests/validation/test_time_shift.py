@@ -73,6 +73,12 @@ def test_jitter_of_single_stamps_is_told_from_noise(jitter):
     assert found.jitter_sigma < 1e-3
 
 
+def test_values_without_any_noise_have_no_jitter():
+    wave = np.where(TIME > 25.0, 0.0, np.sin(0.7 * TIME) + np.sin(0.31 * TIME))
+    exact = Signal(time=TIME, value=np.column_stack([wave, 0.0 * wave, 0.0 * wave]))
+    assert find_shift(exact, exact).jitter == 0.0
+
+
 @pytest.mark.parametrize(
     ("value", "reason"),
     [
