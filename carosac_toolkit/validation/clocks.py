@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -183,7 +184,6 @@ class _Comparisons:
         """Take a recording as calibrated."""
         self._recording = recording
         self._robot = robot
-        self._poses_late: float | None = None
         self._rest: tuple[Array, Equilibrium] | None = None
 
     def shift(self, channel: str) -> TimeShift:
@@ -193,9 +193,7 @@ class _Comparisons:
             UnknownShift: It cannot be told.
         """
         if channel == "poses":
-            found = self._poses()
-            self._poses_late = found.seconds
-            return found
+            return self._poses
         if channel == "length_rate":
             return find_shift(self._measured(channel), self._length_rates())
         if channel == "tension":
@@ -221,6 +219,17 @@ class _Comparisons:
         rates = CubicSpline(lengths.time, lengths.value)(lengths.time, 1)
         return Signal(time=lengths.time, value=rates)
 
+    @cached_property
+    def _poses_late(self) -> float | None:
+        """By which the stamps of the poses are late [s]; None where it cannot be told."""
+        if self._recording.poses is None:
+            return None
+        try:
+            return self._poses.seconds
+        except UnknownShift:
+            return None
+
+    @cached_property
     def _poses(self) -> TimeShift:
         """Compare the distances at the measured poses with the lengths."""
         poses = self._recording.poses

@@ -33,6 +33,15 @@ def test_three_clocks_seconds_apart_are_aligned_within_their_sigmas():
     assert list(clock_warnings(aligned, ROBOT)) == []
 
 
+def test_the_offset_of_a_channel_does_not_depend_on_which_others_are_asked_for():
+    run = late(moving_run())
+    alone, last, first = (
+        next(clock for clock in channel_clocks(run, ROBOT, names) if clock.channel == "imu")
+        for names in (["imu"], ["poses", "imu"], ["imu", "poses"])
+    )
+    assert alone.shift == last.shift == first.shift
+
+
 def test_a_delay_that_the_robot_states_is_no_offset_of_a_clock():
     delayed = replace(ROBOT, length_offset=np.zeros(4), length_scale=np.ones(4), length_delay=0.03)
     found = channel_clocks(late(moving_run(), {"poses": 0.03}), delayed, ["poses"])[0]
