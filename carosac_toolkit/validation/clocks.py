@@ -149,6 +149,8 @@ def clock_warnings(
 def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Recording:
     """Shift the stamps of channels to the clock of the lengths; the metadata say by how much.
 
+    An attitude with the stamps of the inertial samples is shifted with them.
+
     Args:
         recording: As it was recorded.
         clocks: Of its channels.
@@ -163,10 +165,12 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
             raise CarosacError(
                 f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
             )
-        channel = getattr(recording, clock.channel)
-        changes[clock.channel] = replace(channel, time=channel.time - clock.shift.seconds)
+        names = _of_one_clock(recording, clock.channel)
+        for name in names:
+            channel = getattr(recording, name)
+            changes[name] = replace(channel, time=channel.time - clock.shift.seconds)
         notes.append(
-            f"{clock.channel} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
+            f"{' and '.join(names)} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
         )
     if not notes:
         allowed = f"one with a channel of {list(ALIGNED_CHANNELS)}"
@@ -175,6 +179,21 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
     text = f"{'; '.join(notes)}: removed from the stamps"
     metadata = replace(recording.metadata, clock_offsets=f"{before}; {text}" if before else text)
     return replace(recording, **changes, metadata=metadata)
+
+
+def not_aligned(recording: Recording, clocks: Sequence[ChannelClock]) -> list[str]:
+    """Return the channels beside the lengths whose stamps `align_clocks` leaves as they are."""
+    shifted = {name for clock in clocks for name in _of_one_clock(recording, clock.channel)}
+    return [name for name in list(recording.channel_times)[1:] if name not in shifted]
+
+
+def _of_one_clock(recording: Recording, channel: str) -> tuple[str, ...]:
+    """Return a channel and what has its stamps for sure: an AHRS measures the attitude too."""
+    imu, attitude = recording.imu, recording.attitude
+    if channel == "imu" and imu is not None and attitude is not None:
+        if np.array_equal(imu.time, attitude.time):
+            return channel, "attitude"
+    return (channel,)
 
 
 class _Comparisons:
