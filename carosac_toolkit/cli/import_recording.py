@@ -7,7 +7,8 @@ carosac import recording run.bag
 
 carosac import recording run.bag --lengths /joint_states --pose /mocap/pose --output run.parquet
 
-With --align, the stamps of all other channels are shifted to the clock of the cable lengths. How
+With --align, the stamps of poses, length rates, tensions and IMU are shifted to the clock of the
+cable lengths, and those of an AHRS with the IMU's if they are equal; others stay. How
 far they are apart is estimated from what the lengths predict of each channel, which takes the
 robot. A recording file is aligned in the same way:
 
@@ -40,7 +41,12 @@ from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording, save_recording
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
-from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, align_clocks, channel_clocks
+from carosac_toolkit.validation.clocks import (
+    ALIGNED_CHANNELS,
+    align_clocks,
+    channel_clocks,
+    not_aligned,
+)
 from carosac_toolkit.validation.time_shift import TimeShift
 
 _PER_CABLE = ("lengths", "tension", "command", "rates", "swivel")
@@ -101,10 +107,10 @@ class Options(CommonOptions):
     robot: str | None = None
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
     align: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Shift the stamps of the other channels to the clock of the lengths; it needs --robot, or a
-    recording that names its robot. Refused where a channel does not tell its offset."""
+    """Shift the stamps of poses, length rates, tensions and IMU to the clock of the lengths; it
+    needs --robot, or a recording that names its robot. Refused where a channel does not tell its offset."""
     align_channels: tuple[Literal["poses", "length_rate", "tension", "imu"], ...] = ()
-    """Channels to align; by default all that there are."""
+    """Channels to align; by default those of the four that there are."""
 
 
 def run(options: Options) -> CommandResult:
@@ -175,6 +181,9 @@ def _aligned(
     ]  # fmt: skip
     print(format_table(CLOCK_HEADER, rows))
     print("\nOffset: of the stamps against the clock of the lengths; it is removed from them.")
+    left = not_aligned(recording, clocks)
+    if left:
+        print(f"Not aligned: {', '.join(left)}.")
     return aligned, {"clocks": {clock.channel: clock.data() for clock in clocks}}
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -148,6 +149,8 @@ def clock_warnings(
 def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Recording:
     """Shift the stamps of channels to the clock of the lengths; the metadata say by how much.
 
+    An attitude with the stamps of the inertial samples is shifted with them.
+
     Args:
         recording: As it was recorded.
         clocks: Of its channels.
@@ -162,10 +165,12 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
             raise CarosacError(
                 f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
             )
-        channel = getattr(recording, clock.channel)
-        changes[clock.channel] = replace(channel, time=channel.time - clock.shift.seconds)
+        names = _of_one_clock(recording, clock.channel)
+        for name in names:
+            channel = getattr(recording, name)
+            changes[name] = replace(channel, time=channel.time - clock.shift.seconds)
         notes.append(
-            f"{clock.channel} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
+            f"{' and '.join(names)} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
         )
     if not notes:
         allowed = f"one with a channel of {list(ALIGNED_CHANNELS)}"
@@ -176,6 +181,21 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
     return replace(recording, **changes, metadata=metadata)
 
 
+def not_aligned(recording: Recording, clocks: Sequence[ChannelClock]) -> list[str]:
+    """Return the channels beside the lengths whose stamps `align_clocks` leaves as they are."""
+    shifted = {name for clock in clocks for name in _of_one_clock(recording, clock.channel)}
+    return [name for name in list(recording.channel_times)[1:] if name not in shifted]
+
+
+def _of_one_clock(recording: Recording, channel: str) -> tuple[str, ...]:
+    """Return a channel and what has its stamps for sure: an AHRS measures the attitude too."""
+    imu, attitude = recording.imu, recording.attitude
+    if channel == "imu" and imu is not None and attitude is not None:
+        if np.array_equal(imu.time, attitude.time):
+            return channel, "attitude"
+    return (channel,)
+
+
 class _Comparisons:
     """Each channel of one recording against what its lengths predict."""
 
@@ -183,7 +203,6 @@ class _Comparisons:
         """Take a recording as calibrated."""
         self._recording = recording
         self._robot = robot
-        self._poses_late: float | None = None
         self._rest: tuple[Array, Equilibrium] | None = None
 
     def shift(self, channel: str) -> TimeShift:
@@ -193,9 +212,7 @@ class _Comparisons:
             UnknownShift: It cannot be told.
         """
         if channel == "poses":
-            found = self._poses()
-            self._poses_late = found.seconds
-            return found
+            return self._poses
         if channel == "length_rate":
             return find_shift(self._measured(channel), self._length_rates())
         if channel == "tension":
@@ -221,6 +238,17 @@ class _Comparisons:
         rates = CubicSpline(lengths.time, lengths.value)(lengths.time, 1)
         return Signal(time=lengths.time, value=rates)
 
+    @cached_property
+    def _poses_late(self) -> float | None:
+        """By which the stamps of the poses are late [s]; None where it cannot be told."""
+        if self._recording.poses is None:
+            return None
+        try:
+            return self._poses.seconds
+        except UnknownShift:
+            return None
+
+    @cached_property
     def _poses(self) -> TimeShift:
         """Compare the distances at the measured poses with the lengths."""
         poses = self._recording.poses

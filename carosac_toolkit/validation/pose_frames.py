@@ -28,6 +28,8 @@ YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
 SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # zeros of lengths and exit points move it by less
+WIDTH_MIN = Scaled(0.03, "m")  # RMS across the main direction: less is a line, free to turn
+WIDTH_OVER_MISFIT_MIN = 5.0  # of what turned positions leave
 LEFT_SHARE_MAX = 0.5  # of the misfit that another frame may leave, to be named
 AXIS_COSINE_MIN = 0.98  # of a turn about an axis that goes by the axis's name
 
@@ -103,11 +105,13 @@ def find_frames(
         return None
     position, rotation = pose.position[some][good], pose.rotation[some][good]
     rests, attitudes = rest.position[good], rest.rotation[good]
-    world = _turn_of_positions(position, rests)
+    ratios = Scales(robot).ratios
+    by_attitudes = _mean_rotation(attitudes @ rotation.swapaxes(1, 2))
+    world = _turn_of_world(position, rests, by_attitudes, WIDTH_MIN.of(ratios))
     body = _mean_rotation((world @ rotation).swapaxes(1, 2) @ attitudes)
     missing = rests - position @ world.T
     shift = missing.mean(axis=0)
-    least = SHIFT_MIN.of(Scales(robot).ratios)
+    least = SHIFT_MIN.of(ratios)
     scatter = float(np.sqrt(((missing - shift) ** 2).sum(axis=1).mean()))
     zeros_right = zeros_known or float(np.linalg.norm(shift)) < least
     if not zeros_right or not _explains_attitudes(
@@ -119,12 +123,19 @@ def find_frames(
     return PoseFrames(world_turn=world, shift=shift, body_turn=body)
 
 
-def _turn_of_positions(position: Array, rests: Array) -> Array:
-    """Return the rotation Q about which rests are Q position + t, or identity (3, 3)."""
+def _turn_of_world(position: Array, rests: Array, by_attitudes: Array, width_min: float) -> Array:
+    """Return the rotation Q about which rests are Q position + t, or identity (3, 3).
+
+    Positions along a line tell no turn about it; there the turn of the attitudes is tried.
+    """
     measured, wanted = position - position.mean(axis=0), rests - rests.mean(axis=0)
-    turn = np.eye(3)
-    if np.linalg.matrix_rank(measured, tol=1e-9) >= 2:
-        turn = Rotation.align_vectors(wanted, measured)[0].as_matrix()
+    turn = by_attitudes
+    if len(measured) > 1:
+        width = float(np.linalg.svd(measured, compute_uv=False)[1]) / np.sqrt(len(measured))
+        aligned = Rotation.align_vectors(wanted, measured)[0].as_matrix() if width > 0.0 else turn
+        misfit = float(np.sqrt(((wanted - measured @ aligned.T) ** 2).sum(axis=1).mean()))
+        if width > max(width_min, WIDTH_OVER_MISFIT_MIN * misfit):
+            turn = aligned
     before, after = (float(((wanted - measured @ t.T) ** 2).sum()) for t in (np.eye(3), turn))
     explains = after < LEFT_SHARE_MAX**2 * before
     return turn if explains and _angle(turn) > WORLD_TURN_MIN_RAD else np.eye(3)

@@ -161,9 +161,7 @@ def find_shift(measured: Signal, predicted: Signal, *, scaling: Scaling = "none"
     coarse = _Comparison(_thinned(measured, COARSE_SAMPLES_MAX), predicted, scaling)
     few = _thinned(measured, SAMPLES_MAX)
     comparison = _Comparison(few, predicted, scaling)
-    apart = float(measured.time[0] - predicted.time[0])
-    middle = apart if abs(apart) > SHIFT_MAX_S else 0.0  # clocks of other days
-    grid = middle + np.arange(-SHIFT_MAX_S, SHIFT_MAX_S + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S)
+    grid = _grid(float(measured.time[0] - predicted.time[0]))
     costs = np.array([coarse.cost(shift) for shift in grid])
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
@@ -191,6 +189,20 @@ def find_shift(measured: Signal, predicted: Signal, *, scaling: Scaling = "none"
         explained_unshifted=1.0 - min(unshifted, 1.0),
         jitter=jitter, jitter_sigma=jitter_sigma,
     )  # fmt: skip
+
+
+def _grid(apart: float) -> Array:
+    """Return the shifts to try [s]: about 0, and about where both begin if that is far away.
+
+    Of two ranges that do not meet the first ends in a NaN, at which nothing overlaps.
+    """
+    about_zero = np.arange(-SHIFT_MAX_S, SHIFT_MAX_S + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S)
+    if abs(apart) <= SHIFT_MAX_S:
+        return about_zero
+    if abs(apart) > 2.0 * SHIFT_MAX_S:  # clocks of other days
+        return np.concatenate([about_zero, [np.nan], apart + about_zero])
+    first, last = min(apart, 0.0) - SHIFT_MAX_S, max(apart, 0.0) + SHIFT_MAX_S
+    return np.arange(first, last + 0.5 * SHIFT_STEP_S, SHIFT_STEP_S)
 
 
 def _thinned(signal: Signal, most: int) -> Signal:
@@ -261,6 +273,8 @@ def _jitter(comparison: _Comparison, shift: float) -> tuple[float, float]:
     speed = np.linalg.norm(steady, axis=1)
     slow = white[speed <= np.quantile(speed, SLOW_SHARE)]
     noise = slow.T @ slow / len(slow)
+    if not np.trace(noise) > 0.0:  # computed values, without errors
+        return 0.0, 0.0
     noise += 1e-6 * np.trace(noise) * np.eye(len(noise))
     root = np.linalg.inv(np.linalg.cholesky(noise))  # makes the noise alike in all directions
     white, steady = white @ root.T, steady @ root.T

@@ -39,11 +39,12 @@ def test_stamps_are_shifted_and_the_offset_is_printed_and_kept(file, tmp_path, c
     assert clocks["imu"]["jitter_s"] is None
 
 
-def test_only_the_named_channels_are_shifted(file, tmp_path):
+def test_only_the_named_channels_are_shifted_and_others_are_named(file, tmp_path, capsys):
     output = tmp_path / "aligned.csv"
     words = ("--robot", "carosac", "--align-channels", "poses", "--output", output)
     assert align(file, *words) == 0
     np.testing.assert_array_equal(load_recording(output).imu.time, moving_run().imu.time)
+    assert "Not aligned: tension, imu." in capsys.readouterr().out
 
 
 def test_a_channel_without_an_offset_is_one_message_and_no_file(tmp_path, capsys):

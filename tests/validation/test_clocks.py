@@ -5,7 +5,13 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.validation.clocks import align_clocks, channel_clocks, clock_warnings
+from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.validation.clocks import (
+    align_clocks,
+    channel_clocks,
+    clock_warnings,
+    not_aligned,
+)
 from carosac_toolkit.validation.plausibility import find_misfits
 from tests.validation.moving import ROBOT, moving_run
 
@@ -31,6 +37,28 @@ def test_three_clocks_seconds_apart_are_aligned_within_their_sigmas():
     assert "poses +1.99" in aligned.metadata.clock_offsets
     assert aligned.poses.time == pytest.approx(moving_run().poses.time, abs=1e-3)
     assert list(clock_warnings(aligned, ROBOT)) == []
+
+
+def test_the_offset_of_a_channel_does_not_depend_on_which_others_are_asked_for():
+    run = late(moving_run())
+    alone, last, first = (
+        next(clock for clock in channel_clocks(run, ROBOT, names) if clock.channel == "imu")
+        for names in (["imu"], ["poses", "imu"], ["imu", "poses"])
+    )
+    assert alone.shift == last.shift == first.shift
+
+
+def test_an_attitude_by_the_stamps_of_the_imu_is_shifted_with_it():
+    run = late(moving_run(), {"imu": 3.1})
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(run.imu.time), 1))
+    for behind, left in ((0.0, ["tension", "poses"]), (0.5, ["tension", "attitude", "poses"])):
+        attitude = Stamped(time=run.imu.time + behind, value=level)
+        both = replace(run, attitude=attitude)
+        clocks = channel_clocks(both, ROBOT, ["imu"])
+        aligned = align_clocks(both, clocks)
+        moved = 0.0 if behind else clocks[0].shift.seconds
+        np.testing.assert_array_equal(aligned.attitude.time, attitude.time - moved)
+        assert sorted(not_aligned(both, clocks)) == sorted(left)
 
 
 def test_a_delay_that_the_robot_states_is_no_offset_of_a_clock():

@@ -8,6 +8,7 @@ import carosac_toolkit as ct
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.validation.plausibility import find_misfits
+from carosac_toolkit.validation.pose_frames import find_frames
 
 ROBOT = ct.load_robot("carosac")
 RUN = ct.load_recording(find_recording("synthetic"))
@@ -54,6 +55,22 @@ def test_each_frame_is_named_and_nothing_else(name, change, said, request):
     text = " ".join(find_misfits(seen(run, **change), robot))
     assert said.format(name) in text
     assert bool(text) == bool(said)
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+@pytest.mark.parametrize("degrees", [0, 90])
+def test_a_straight_line_tells_the_turn_that_its_attitudes_tell_or_none(axis, degrees):
+    line = ROBOT.home_position + np.linspace(-0.6, 0.6, 100)[:, None] * axis
+    rest = ct.statics.inverse_kinematics(ROBOT, line)
+    world = turn("z", degrees)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(line.shape)
+    pose = ct.Pose(position=line @ world.T + noise, rotation=world @ rest.rotation)
+    found = find_frames(ROBOT, rest.unstrained_length, pose)
+    np.testing.assert_allclose(found.world_turn, world.T, atol=0.02)
+    np.testing.assert_array_equal(found.body_turn, np.eye(3))
+    other = replace(pose, rotation=pose.rotation @ turn("z", 50))
+    unknown = find_frames(ROBOT, rest.unstrained_length, other)
+    np.testing.assert_array_equal(unknown.world_turn, np.eye(3))
 
 
 def test_half_a_turn_about_z_looks_like_another_order_of_quaternions_and_both_are_named():

@@ -49,6 +49,21 @@ def test_clocks_of_other_days_are_compared_from_their_first_stamps():
     assert found.seconds == pytest.approx(1.7e5 + 0.8, abs=1e-3)
 
 
+@pytest.mark.parametrize("start", [12.0, 22.0])
+def test_a_channel_that_starts_late_by_the_same_clock_is_not_shifted(start):
+    after = TIME >= start
+    found = find_shift(signal(TIME[after], motion(TIME[after])), PREDICTED)
+    assert found.seconds == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_late_start_and_a_wrong_clock_that_fit_alike_are_refused():
+    time = np.arange(0.0, 90.0, 0.05)
+    circle = np.column_stack([np.sin(time * np.pi / 9.0), np.cos(time * np.pi / 9.0)])
+    after = time > 15.0
+    with pytest.raises(UnknownShift, match="the motion repeats itself"):
+        find_shift(signal(time[after], circle[after]), signal(time, circle, noise=0.0))
+
+
 @pytest.mark.parametrize("jitter", [0.0, 0.005])
 def test_jitter_of_single_stamps_is_told_from_noise(jitter):
     rng = np.random.default_rng(3)
@@ -56,6 +71,12 @@ def test_jitter_of_single_stamps_is_told_from_noise(jitter):
     found = find_shift(signal(TIME, motion(wrong), noise=0.01), PREDICTED)
     assert found.jitter == pytest.approx(jitter, abs=max(4.0 * found.jitter_sigma, 2e-4))
     assert found.jitter_sigma < 1e-3
+
+
+def test_values_without_any_noise_have_no_jitter():
+    wave = np.where(TIME > 25.0, 0.0, np.sin(0.7 * TIME) + np.sin(0.31 * TIME))
+    exact = Signal(time=TIME, value=np.column_stack([wave, 0.0 * wave, 0.0 * wave]))
+    assert find_shift(exact, exact).jitter == 0.0
 
 
 @pytest.mark.parametrize(
