@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,6 @@ from carosac_toolkit.validation.time_shift import Signal, binned
 
 GRID_S = 0.1  # [s]: lengths go straight over no longer time
 LENGTH_BIN_S = 0.05  # [s] over which noise of the lengths is averaged
-TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
 STEP_SHARE = 0.25  # of a prior sigma, with which an effect is simulated
 MODE_SAMPLES_MAX = 300  # poses of rest at which free modes are solved for, evenly spread
 PHASE_PER_SAMPLE_MAX_RAD = 2.5  # of a mode between samples that still show it
@@ -107,8 +107,7 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
     Raises:
         CarosacError: The robot cannot be simulated on these lengths.
     """
-    when = np.unique(np.concatenate([np.arange(time[0], time[-1], GRID_S), time]))
-    when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
+    when, rows = _filled(time, GRID_S)
     samples = Signal(time=recording.time, value=recording.unstrained_length)
     few = binned(samples, LENGTH_BIN_S)
     inside = np.clip(when - (robot.length_delay or 0.0), few.time[0], few.time[-1])
@@ -126,7 +125,6 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         move + np.array([each.move for each in variants]),
         twist + np.array([each.twist for each in variants]),
     )
-    rows = np.searchsorted(when, time - TIME_ROUNDING_S)
     position, rotation = motion.position[rows], motion.rotation[rows]
     columns: dict[str, list[Array]] = {name: [] for name in EFFECTS}
     for b, each in enumerate(variants[1:], start=1):
@@ -138,6 +136,8 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
     columns["delay"].append(DELAY_SIGMA_S * rate)
     columns["tilt"] += list(_turned_frame(position[:, 0]))
     columns["sway phase"] += list(modes.phases(when, time, motion.twist[:, 0], rows))
+    if not all(np.isfinite(each).all() for each in (rate, *chain(*columns.values()))):
+        raise CarosacError("the motion by an effect is not finite")
     arm = lever(robot)
     arms = np.repeat([1.0, arm], 3)
     return Signatures(
@@ -145,6 +145,17 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         speed=rate * arms,
         lever=arm,
     )
+
+
+def _filled(time: Array, step: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return times no farther apart than a step, and which of them are the given ones."""
+    counts = np.maximum(np.ceil(np.diff(time) / step - 1e-6), 1.0).astype(np.intp)
+    parts = [
+        np.linspace(*ends, n, endpoint=False)
+        for ends, n in zip(pairwise(time), counts, strict=True)
+    ]
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    return np.concatenate([*parts, time[-1:]]), rows
 
 
 def _variants(robot: Robot, length: Array, modes: _FreeModes) -> Iterator[_Variant]:
@@ -272,7 +283,7 @@ class _FreeModes:
         """
         nearest = np.searchsorted(self._time, time).clip(0, len(self._time) - 1)
         turn = pose.rotation @ self._rest.rotation[nearest].swapaxes(1, 2)
-        where = interp1d(self._time, self._rest.position, axis=0)(time)
+        where = self._at(self._rest.position, time)
         away = np.hstack([pose.position - where, Rotation.from_matrix(turn).as_rotvec()])
         modal = np.einsum("kij,kj->ki", self._at(self._to_modes, time), away)
         seen = self.frequency * np.median(np.diff(time)) < PHASE_PER_SAMPLE_MAX_RAD
