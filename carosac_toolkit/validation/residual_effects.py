@@ -44,7 +44,7 @@ class ResidualEffects:
 
     Attributes:
         rms: Of the error [m].
-        shares: By effect, largest first; never negative.
+        shares: By effect, largest first; never negative. Empty where there is no error.
         other: Share that looks like none of them.
         jitter: Of single stamps, from lengths and poses [s]; NaN where it cannot be told.
         noise: Of the sensors, white, RMS [m].
@@ -72,6 +72,8 @@ class ResidualEffects:
         Args:
             whose: Model or robot whose error it is.
         """
+        if not self.shares:
+            return f"There is no error of {whose} to explain."
         shares = {**self.shares, "none of these effects": self.other}
         named = [
             f"{name} {share:.0%}" for name, share in shares.items() if share >= NAMED_SHARE_MIN
@@ -107,9 +109,11 @@ def residual_effects(
     )
     signatures = effect_signatures(recording, robot, time, modelled)
     error = _error(measured, modelled, signatures.lever)
+    square = float((error**2).sum(axis=1).mean())
+    if not square > 0.0:
+        return ResidualEffects(rms=0.0, shares={}, other=0.0, jitter=np.nan, noise=0.0)
     regression = _Regression(signatures.motion, error)
     shares, left = _shares(regression), regression.left(regression.names)
-    square = float((error**2).sum(axis=1).mean())
     clocks = channel_clocks(recording, robot, ("poses",))
     shift = clocks[0].shift if clocks else None
     jitter = np.nan if shift is None else shift.jitter
@@ -201,8 +205,6 @@ class _Regression:
 
     def explained(self, names: Sequence[str]) -> float:
         """Return the share of the square that effects explain where they were not fitted."""
-        if not self._sizes.sum() > 0.0:
-            return 0.0
         rows = self._rows(names)
         ridge = self._ridge(rows)
         left = 0.0

@@ -105,3 +105,11 @@ def test_few_samples_tell_nothing():
     pose = moved(ROBOT, time)
     with pytest.raises(CarosacError, match="too few to tell effects apart"):
         residual_effects(lengths(), ROBOT, time, pose, pose)
+
+
+def test_a_simulation_without_an_error_has_no_effects():
+    time = lengths().time[5:405]
+    pose = moved(ROBOT, time)
+    found = residual_effects(lengths(), ROBOT, time, pose, pose)
+    assert found.rms == 0.0 and found.shares == {} and found.other == 0.0
+    assert found.sentence("simulator") == "There is no error of simulator to explain."
