@@ -163,7 +163,11 @@ def _variants(robot: Robot, length: Array, modes: _FreeModes) -> Iterator[_Varia
     yield from _lengths(robot, length)
     for axis in np.eye(3)[:2]:
         turn = Rotation.from_rotvec(STEP_SHARE * TILT_SIGMA_RAD * axis).as_matrix()
-        tilted = replace(robot, exit_points=robot.exit_points @ turn.T)
+        tilted = replace(
+            robot,
+            exit_points=robot.exit_points @ turn.T,
+            swivel_axis=robot.swivel_axis @ turn.T,
+        )
         yield _Variant(effect="tilt", robot=_plain(tilted), length=length, back=turn.T)
     for axis, effect in zip(np.eye(3), CENTER_EFFECTS, strict=True):
         center = robot.center_of_mass + STEP_SHARE * CENTER_SIGMA_M * axis
