@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Ratios, Scaled
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import channel_clocks
@@ -29,9 +31,9 @@ from carosac_toolkit.validation.effect_signatures import effect_signatures
 from carosac_toolkit.validation.quantities import say_length
 
 SAMPLES_MIN = 60  # fewer tell no effects apart
-DURATION_MIN_S = 15.0  # [s]: a shorter run shows too few swings
-RATE_MAX_HZ = 20.0  # [Hz] of the samples that are used
-DURATION_MAX_S = 150.0  # [s] of the run that is used, from its start
+DURATION_MIN = Scaled(15.0, "s")  # a shorter run shows too few swings
+RATE_MAX = Scaled(20.0, "Hz")  # of the samples that are used
+DURATION_MAX = Scaled(150.0, "s")  # of the run that is used, from its start
 STRETCHES = 10  # of the run: each is predicted from the others
 SLOW_SHARE = 0.5  # of the samples, the slowest, that show the noise of the sensors alone
 NORMAL_SQUARE_MEDIAN = 0.4549  # median of the square of a standard normal number
@@ -143,10 +145,13 @@ def residual_effects(
     Raises:
         CarosacError: Too few samples, or a robot that cannot rest on the lengths.
     """
-    some = _thinned(time)
-    time = time[some]
-    if len(time) < SAMPLES_MIN or time[-1] - time[0] < DURATION_MIN_S:
-        raise CarosacError(f"{len(time)} samples are too few to tell effects apart")
+    ratios = Scales(robot).ratios
+    some = _thinned(time, ratios)
+    time, least = time[some], DURATION_MIN.of(ratios)
+    duration = float(np.ptp(time)) if len(time) else 0.0
+    if len(time) < SAMPLES_MIN or duration < least:
+        allowed = f"at least {SAMPLES_MIN} over {least:.3g} s, to tell effects apart"
+        raise InvalidField("samples", f"{len(time)} over {duration:.3g} s", allowed)
     measured, modelled = (
         Pose(position=pose.position[some], rotation=pose.rotation[some])
         for pose in (measured, modelled)
@@ -171,11 +176,11 @@ def residual_effects(
     return _result(float(np.sqrt(square)), shares | white, ranges, float(jitter), noise)
 
 
-def _thinned(time: Array) -> NDArray[np.intp]:
+def _thinned(time: Array, ratios: Ratios) -> NDArray[np.intp]:
     """Return the rows of the samples that are used."""
-    bins = np.floor((time - time[0]) * RATE_MAX_HZ + 1e-6)
+    bins = np.floor((time - time[0]) * RATE_MAX.of(ratios) + 1e-6)
     first = np.flatnonzero(np.diff(bins, prepend=-1.0) > 0.0)
-    return np.asarray(first[time[first] - time[0] <= DURATION_MAX_S])
+    return np.asarray(first[time[first] - time[0] <= DURATION_MAX.of(ratios)])
 
 
 def _result(

@@ -9,13 +9,14 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from calibration.identification.open_loop import simulate
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import values_of, with_values
+from carosac_toolkit.robot.similar import similar_robot
 from carosac_toolkit.trajectories.moves import waypoints
 from carosac_toolkit.validation.effect_signatures import effect_signatures
 from carosac_toolkit.validation.residual_effects import residual_effects
@@ -133,7 +134,7 @@ def test_white_noise_is_the_sensors(shares):
 def test_few_samples_tell_nothing():
     time = lengths().time[:20]
     pose = moved(ROBOT, time)
-    with pytest.raises(CarosacError, match="too few to tell effects apart"):
+    with pytest.raises(InvalidField, match=r"samples: got 20 .*at least 60 over 15 s"):
         residual_effects(lengths(), ROBOT, time, pose, pose)
 
 
@@ -143,3 +144,19 @@ def test_a_simulation_without_an_error_has_no_effects():
     found = residual_effects(lengths(), ROBOT, time, pose, pose)
     assert found.rms == 0.0 and found.shares == {} and found.other == 0.0
     assert found.sentence("simulator") == "There is no error of simulator to explain."
+
+
+def test_a_similar_robot_has_similar_signatures():
+    factor = 1.0 / 16.0
+    small, faster = similar_robot(ROBOT, factor), np.sqrt(factor)
+    path, pose = lengths(), modelled(0)
+    time = path.time[5:-5]
+    shrunk = Recording(time=faster * path.time, unstrained_length=factor * path.unstrained_length)
+    rest = ct.Pose(position=factor * pose.position, rotation=pose.rotation)
+    moved_by = 1e-3 * factor * np.sin(time)[:, None] * np.ones(3)
+    shifted = ct.Pose(position=rest.position + moved_by, rotation=pose.rotation)
+    found = residual_effects(shrunk, small, faster * time, shifted, rest)
+    whole = ct.Pose(position=shifted.position / factor, rotation=pose.rotation)
+    before = residual_effects(path, ROBOT, time, whole, pose)
+    assert found.rms == pytest.approx(factor * before.rms, rel=1e-6)
+    assert found.shares == pytest.approx(before.shares, abs=0.02)
