@@ -38,7 +38,8 @@ EFFECTS_TEXT = (
     "is regressed on what each effect does to the simulation. A share is what the effect explains "
     "of stretches that the regression did not see, beyond the effects that explain more. Effects "
     "resemble each other, such as tilt, centre of mass and length offsets: what several of them "
-    "could explain counts for the one that explains most.</p>"
+    "could explain counts for the one that explains most. Only what an effect adds to all others "
+    "speaks for it as a cause.</p>"
 )
 SETTINGS_FILE = "report_settings.json"
 VALIDATION_CAPTIONS = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.motion.winch import lagging_lengths
@@ -28,21 +30,20 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.fleet_motion import fleet_motion
 from carosac_toolkit.validation.time_shift import Signal, binned
 
-GRID_S = 0.1  # [s]: lengths go straight over no longer time
-LENGTH_BIN_S = 0.05  # [s] over which noise of the lengths is averaged
-TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
+GRID = Scaled(0.1, "s")  # lengths go straight over no longer time
+LENGTH_BIN = Scaled(0.05, "s")  # over which noise of the lengths is averaged
 STEP_SHARE = 0.25  # of a prior sigma, with which an effect is simulated
 MODE_SAMPLES_MAX = 300  # poses of rest at which free modes are solved for, evenly spread
 PHASE_PER_SAMPLE_MAX_RAD = 2.5  # of a mode between samples that still show it
 SIX_CABLES = 6  # with so many, no mode is free
 # Prior standard deviations of the sizes of effects: what a calibrated robot may be off by.
-DELAY_SIGMA_S = 0.05
+DELAY_SIGMA = Scaled(0.05, "s")
 PHASE_SIGMA_RAD = 0.5
 TILT_SIGMA_RAD = 0.02
-CENTER_SIGMA_M = 0.02
-OFFSET_SIGMA_M = 0.02
+CENTER_SIGMA = Scaled(0.02, "m")
+OFFSET_SIGMA = Scaled(0.02, "m")
 SCALE_SIGMA = 5e-3
-HYSTERESIS_SIGMA_M = 3e-3
+HYSTERESIS_SIGMA = Scaled(3e-3, "m")
 INERTIA_SIGMA = 0.3  # share
 DRAG_SIGMA = 1.0
 DRAG_OF_CRITICAL = 0.02  # damping of the slowest mode by a drag of one sigma
@@ -107,14 +108,14 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
     Raises:
         CarosacError: The robot cannot be simulated on these lengths.
     """
-    when = np.unique(np.concatenate([np.arange(time[0], time[-1], GRID_S), time]))
-    when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
+    ratios = Scales(robot).ratios
+    when, rows = _filled(time, GRID.of(ratios))
     samples = Signal(time=recording.time, value=recording.unstrained_length)
-    few = binned(samples, LENGTH_BIN_S)
+    few = binned(samples, LENGTH_BIN.of(ratios))
     inside = np.clip(when - (robot.length_delay or 0.0), few.time[0], few.time[-1])
     length = CubicSpline(few.time, few.value)(inside)
     if not (length > 0.0).all():
-        raise CarosacError("not all lengths are positive")
+        raise InvalidField("unstrained_length", f"{length.min():.3g} m", "positive lengths")
     modes = _FreeModes(robot, when, length)
     move, twist = modes.start(time, pose)
     plain = _Variant(effect="", robot=robot, length=length)
@@ -126,7 +127,6 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         move + np.array([each.move for each in variants]),
         twist + np.array([each.twist for each in variants]),
     )
-    rows = np.searchsorted(when, time - TIME_ROUNDING_S)
     position, rotation = motion.position[rows], motion.rotation[rows]
     columns: dict[str, list[Array]] = {name: [] for name in EFFECTS}
     for b, each in enumerate(variants[1:], start=1):
@@ -135,9 +135,11 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         moved = np.hstack([there, Rotation.from_matrix(turned).as_rotvec()])
         columns[each.effect].append(moved / each.share)
     rate = motion.twist[rows, 0]
-    columns["delay"].append(DELAY_SIGMA_S * rate)
+    columns["delay"].append(DELAY_SIGMA.of(ratios) * rate)
     columns["tilt"] += list(_turned_frame(position[:, 0]))
     columns["sway phase"] += list(modes.phases(when, time, motion.twist[:, 0], rows))
+    if not all(np.isfinite(each).all() for each in (rate, *chain(*columns.values()))):
+        raise CarosacError("the motion by an effect is not finite")
     arm = lever(robot)
     arms = np.repeat([1.0, arm], 3)
     return Signatures(
@@ -147,15 +149,31 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
     )
 
 
+def _filled(time: Array, step: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return times no farther apart than a step, and which of them are the given ones."""
+    counts = np.maximum(np.ceil(np.diff(time) / step - 1e-6), 1.0).astype(np.intp)
+    parts = [
+        np.linspace(*ends, n, endpoint=False)
+        for ends, n in zip(pairwise(time), counts, strict=True)
+    ]
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    return np.concatenate([*parts, time[-1:]]), rows
+
+
 def _variants(robot: Robot, length: Array, modes: _FreeModes) -> Iterator[_Variant]:
     """Yield the robot with each effect in turn."""
     yield from _lengths(robot, length)
     for axis in np.eye(3)[:2]:
         turn = Rotation.from_rotvec(STEP_SHARE * TILT_SIGMA_RAD * axis).as_matrix()
-        tilted = replace(robot, exit_points=robot.exit_points @ turn.T)
+        tilted = replace(
+            robot,
+            exit_points=robot.exit_points @ turn.T,
+            swivel_axis=robot.swivel_axis @ turn.T,
+        )
         yield _Variant(effect="tilt", robot=_plain(tilted), length=length, back=turn.T)
+    shift = STEP_SHARE * CENTER_SIGMA.of(Scales(robot).ratios)
     for axis, effect in zip(np.eye(3), CENTER_EFFECTS, strict=True):
-        center = robot.center_of_mass + STEP_SHARE * CENTER_SIGMA_M * axis
+        center = robot.center_of_mass + shift * axis
         shifted = _plain(replace(robot, center_of_mass=center))
         yield _Variant(effect=effect, robot=shifted, length=length)
     for turned in _inertias(robot):
@@ -175,12 +193,13 @@ def _variants(robot: Robot, length: Array, modes: _FreeModes) -> Iterator[_Varia
 
 def _lengths(robot: Robot, length: Array) -> Iterator[_Variant]:
     """Yield the robot on lengths with an offset, a scale and a hysteresis of each cable."""
+    ratios = Scales(robot).ratios
     for i in range(robot.n):
         offset, scale = length.copy(), length.copy()
-        offset[:, i] += STEP_SHARE * OFFSET_SIGMA_M
+        offset[:, i] += STEP_SHARE * OFFSET_SIGMA.of(ratios)
         scale[:, i] *= 1.0 + STEP_SHARE * SCALE_SIGMA
         widths = np.zeros((1, robot.n))
-        widths[0, i] = STEP_SHARE * HYSTERESIS_SIGMA_M
+        widths[0, i] = STEP_SHARE * HYSTERESIS_SIGMA.of(ratios)
         lagging = lagging_lengths(length[:, None], widths)[:, 0]
         yield _Variant(effect="length offset or scale", robot=robot, length=offset)
         yield _Variant(effect="length offset or scale", robot=robot, length=scale)
@@ -272,7 +291,7 @@ class _FreeModes:
         """
         nearest = np.searchsorted(self._time, time).clip(0, len(self._time) - 1)
         turn = pose.rotation @ self._rest.rotation[nearest].swapaxes(1, 2)
-        where = interp1d(self._time, self._rest.position, axis=0)(time)
+        where = self._at(self._rest.position, time)
         away = np.hstack([pose.position - where, Rotation.from_matrix(turn).as_rotvec()])
         modal = np.einsum("kij,kj->ki", self._at(self._to_modes, time), away)
         seen = self.frequency * np.median(np.diff(time)) < PHASE_PER_SAMPLE_MAX_RAD

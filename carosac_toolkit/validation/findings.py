@@ -237,3 +237,8 @@ def _effects(result: ValidationResult) -> Iterator[str]:
     """Name the effects that the error of the best model of motion looks like."""
     if result.effects is not None:
         yield result.effects.sentence(result.effects_model)
+    elif result.effects_model:
+        yield (
+            f"What the error of {result.effects_model} looks like cannot be told: "
+            f"{result.effects_reason}."
+        )

@@ -96,6 +96,12 @@ def validate(
     scored = {name: scoring.result(name, target, end, seed) for name, target in targets.items()}
     warnings = (*other, *find_contradictions(recording, robot, lengths, measured))
     moving = _best_moving(scored) if effects and not warnings else None
+    if moving is not None:
+        found = _effects(recording, robot, measured, moving)
+    elif not effects:
+        found = "not asked for"
+    else:
+        found = "warnings" if warnings else "no model that moves solved every sample"
     return ValidationResult(
         robot=robot,
         start=start,
@@ -111,8 +117,9 @@ def validate(
         rest_speed=float(np.sqrt((speed[resting] ** 2).mean())) if resting.any() else None,
         natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=exit_point_distance(recording, robot),
-        effects=None if moving is None else _effects(recording, robot, measured, moving),
+        effects=found if isinstance(found, ResidualEffects) else None,
         effects_model="" if moving is None else moving.name,
+        effects_reason="" if isinstance(found, ResidualEffects) else found,
         warnings=warnings,
     )
 
@@ -278,13 +285,13 @@ def _best_moving(models: Mapping[str, ModelResult]) -> ModelResult | None:
 
 def _effects(
     recording: Recording, robot: Robot, measured: Pose, model: ModelResult
-) -> ResidualEffects | None:
-    """Return the effects that the error of a model looks like, or None where none can be told."""
+) -> ResidualEffects | str:
+    """Return the effects that the error of a model looks like, or why none can be told."""
     assert measured.time is not None and model.pose is not None
     try:
         return residual_effects(recording, robot, measured.time, measured, model.pose)
-    except CarosacError:
-        return None
+    except CarosacError as error:
+        return str(error)
 
 
 def _kept(

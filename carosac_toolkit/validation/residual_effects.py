@@ -20,22 +20,27 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Ratios, Scaled
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import channel_clocks
 from carosac_toolkit.validation.effect_signatures import effect_signatures
+from carosac_toolkit.validation.quantities import say_length
 
 SAMPLES_MIN = 60  # fewer tell no effects apart
-DURATION_MIN_S = 15.0  # [s]: a shorter run shows too few swings
-RATE_MAX_HZ = 20.0  # [Hz] of the samples that are used
-DURATION_MAX_S = 150.0  # [s] of the run that is used, from its start
+DURATION_MIN = Scaled(15.0, "s")  # a shorter run shows too few swings
+RATE_MAX = Scaled(20.0, "Hz")  # of the samples that are used
+DURATION_MAX = Scaled(150.0, "s")  # of the run that is used, from its start
 STRETCHES = 10  # of the run: each is predicted from the others
 SLOW_SHARE = 0.5  # of the samples, the slowest, that show the noise of the sensors alone
 NORMAL_SQUARE_MEDIAN = 0.4549  # median of the square of a standard normal number
 FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 NAMED_SHARE_MIN = 0.05  # of the squared error: a smaller share is not named in sentences
+RIVAL_SHARE_MIN = 0.5  # of the largest share, explained alone, by an effect that may be its cause
+CAUSE_SHARE_MIN = 0.1  # of the squared error that no other effect explains, for a cause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +49,8 @@ class ResidualEffects:
 
     Attributes:
         rms: Of the error [m].
-        shares: By effect, largest first; never negative.
+        shares: By effect, largest first; never negative. Empty where there is no error.
+        ranges: By effect, what it adds to all others, and what it explains alone.
         other: Share that looks like none of them.
         jitter: Of single stamps, from lengths and poses [s]; NaN where it cannot be told.
         noise: Of the sensors, white, RMS [m].
@@ -52,15 +58,45 @@ class ResidualEffects:
 
     rms: float
     shares: dict[str, float]
+    ranges: dict[str, tuple[float, float]]
     other: float
     jitter: float
     noise: float
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Effects with a share that no others explain as well, largest share first."""
+        return tuple(
+            name
+            for name, share in self.shares.items()
+            if min(share, self.ranges[name][0]) >= CAUSE_SHARE_MIN
+        )
+
+    @property
+    def candidates(self) -> tuple[str, ...]:
+        """Effects with a share worth a word that others may explain as well.
+
+        Where not even the largest share has a cause, all that explain nearly as much alone.
+        """
+        first = next(iter(self.shares), "")
+        known = not first or first in self.causes
+        least = np.inf if known else RIVAL_SHARE_MIN * self.shares[first]
+        return tuple(
+            name
+            for name, share in self.shares.items()
+            if (share >= NAMED_SHARE_MIN or self.ranges[name][1] >= least)
+            and name not in self.causes
+        )
 
     def data(self) -> dict[str, Any]:
         """Return all numbers under names with units, ready for JSON."""
         return {
             "rms_m": self.rms,
             "shares": self.shares,
+            "added_last": {name: last for name, (last, _) in self.ranges.items()},
+            "alone": {name: alone for name, (_, alone) in self.ranges.items()},
+            "causes": self.causes,
+            "candidates": self.candidates,
             "other": self.other,
             "jitter_s": self.jitter if np.isfinite(self.jitter) else None,
             "noise_m": self.noise,
@@ -72,14 +108,26 @@ class ResidualEffects:
         Args:
             whose: Model or robot whose error it is.
         """
-        shares = {**self.shares, "none of these effects": self.other}
-        named = [
-            f"{name} {share:.0%}" for name, share in shares.items() if share >= NAMED_SHARE_MIN
-        ]
+        if not self.shares:
+            return f"There is no error of {whose} to explain."
+        parts = [", ".join(f"{name} {self.shares[name]:.0%}" for name in self.causes)]
+        if self.candidates:
+            candidates = ", ".join(
+                f"{name} ({_percents(self.ranges[name])})" for name in self.candidates
+            )
+            parts.append(f"candidates that cannot be told apart from others: {candidates}")
+        if self.other >= NAMED_SHARE_MIN:
+            parts.append(f"none of these effects {self.other:.0%}")
         return (
             f"What the error of {whose} looks like, as shares of its square "
-            f"({self.rms * 1e3:.1f} mm RMS, turns included): {', '.join(named)}."
+            f"({say_length(self.rms)} RMS, turns included): {'; '.join(filter(None, parts))}."
         )
+
+
+def _percents(ends: tuple[float, float]) -> str:
+    """Say a range of shares: ``2 to 80%``."""
+    low, high = min(ends), max(ends)
+    return f"{max(low, 0.0) * 100.0:.0f} to {max(high, 0.0):.0%}"
 
 
 def residual_effects(
@@ -97,19 +145,24 @@ def residual_effects(
     Raises:
         CarosacError: Too few samples, or a robot that cannot rest on the lengths.
     """
-    some = _thinned(time)
-    time = time[some]
-    if len(time) < SAMPLES_MIN or time[-1] - time[0] < DURATION_MIN_S:
-        raise CarosacError(f"{len(time)} samples are too few to tell effects apart")
+    ratios = Scales(robot).ratios
+    some = _thinned(time, ratios)
+    time, least = time[some], DURATION_MIN.of(ratios)
+    duration = float(np.ptp(time)) if len(time) else 0.0
+    if len(time) < SAMPLES_MIN or duration < least:
+        allowed = f"at least {SAMPLES_MIN} over {least:.3g} s, to tell effects apart"
+        raise InvalidField("samples", f"{len(time)} over {duration:.3g} s", allowed)
     measured, modelled = (
         Pose(position=pose.position[some], rotation=pose.rotation[some])
         for pose in (measured, modelled)
     )
     signatures = effect_signatures(recording, robot, time, modelled)
     error = _error(measured, modelled, signatures.lever)
+    square = float((error**2).sum(axis=1).mean())
+    if not square > 0.0:
+        return ResidualEffects(rms=0.0, shares={}, ranges={}, other=0.0, jitter=np.nan, noise=0.0)
     regression = _Regression(signatures.motion, error)
     shares, left = _shares(regression), regression.left(regression.names)
-    square = float((error**2).sum(axis=1).mean())
     clocks = channel_clocks(recording, robot, ("poses",))
     shift = clocks[0].shift if clocks else None
     jitter = np.nan if shift is None else shift.jitter
@@ -119,17 +172,24 @@ def residual_effects(
         "jitter": min(float(np.nan_to_num(jitter)) ** 2 * speed / square, 1.0),
         "sensor": min(noise**2 / square, 1.0),
     }
-    return _result(float(np.sqrt(square)), shares | white, float(jitter), noise)
+    ranges = _ranges(regression) | {name: (share, share) for name, share in white.items()}
+    return _result(float(np.sqrt(square)), shares | white, ranges, float(jitter), noise)
 
 
-def _thinned(time: Array) -> NDArray[np.intp]:
+def _thinned(time: Array, ratios: Ratios) -> NDArray[np.intp]:
     """Return the rows of the samples that are used."""
-    bins = np.floor((time - time[0]) * RATE_MAX_HZ + 1e-6)
+    bins = np.floor((time - time[0]) * RATE_MAX.of(ratios) + 1e-6)
     first = np.flatnonzero(np.diff(bins, prepend=-1.0) > 0.0)
-    return np.asarray(first[time[first] - time[0] <= DURATION_MAX_S])
+    return np.asarray(first[time[first] - time[0] <= DURATION_MAX.of(ratios)])
 
 
-def _result(rms: float, shares: dict[str, float], jitter: float, noise: float) -> ResidualEffects:
+def _result(
+    rms: float,
+    shares: dict[str, float],
+    ranges: dict[str, tuple[float, float]],
+    jitter: float,
+    noise: float,
+) -> ResidualEffects:
     """Sort the shares; where they exceed all there is, as their estimates may, scale them down."""
     known = {name: max(share, 0.0) for name, share in shares.items()}
     total = sum(known.values())
@@ -137,6 +197,7 @@ def _result(rms: float, shares: dict[str, float], jitter: float, noise: float) -
     return ResidualEffects(
         rms=rms,
         shares=dict(sorted(scaled.items(), key=lambda item: -item[1])),
+        ranges={name: ranges[name] for name in shares},
         other=max(1.0 - total, 0.0),
         jitter=jitter,
         noise=noise,
@@ -163,6 +224,18 @@ def _shares(regression: _Regression) -> dict[str, float]:
         shares[best], chosen = gains[best], (*chosen, best)
         explained += gains[best]
     return shares
+
+
+def _ranges(regression: _Regression) -> dict[str, tuple[float, float]]:
+    """Return what each effect of a regression adds to all others, and what it explains alone."""
+    names = regression.names
+    full = regression.explained(names)
+    found = {}
+    for name in names:
+        others = [each for each in names if each != name]
+        without = regression.explained(others) if others else 0.0
+        found[name] = (full - without, regression.explained((name,)))
+    return found
 
 
 class _Regression:
@@ -201,8 +274,6 @@ class _Regression:
 
     def explained(self, names: Sequence[str]) -> float:
         """Return the share of the square that effects explain where they were not fitted."""
-        if not self._sizes.sum() > 0.0:
-            return 0.0
         rows = self._rows(names)
         ridge = self._ridge(rows)
         left = 0.0

@@ -133,6 +133,7 @@ class ValidationResult:
         effects: Effects that the error of the best model that moves looks like; None where they
             were not asked for, or cannot be told.
         effects_model: Name of that model; empty without effects.
+        effects_reason: Why effects is None; empty where it is not.
         warnings: Evidence that lengths and poses do not belong together, such as wrong units;
             empty for a plausible recording.
     """
@@ -153,6 +154,7 @@ class ValidationResult:
     exit_point_distance: float | None = None
     effects: ResidualEffects | None = None
     effects_model: str = ""
+    effects_reason: str = ""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -203,6 +205,7 @@ class ValidationResult:
             "starts_moving": self.starts_moving,
             "exit_point_distance_m": self.exit_point_distance,
             "effects": None if self.effects is None else self._effects_data(),
+            "effects_reason": self.effects_reason,
             "warnings": self.warnings,
             "models": {name: model.data(names) for name, model in self.models.items()},
         }

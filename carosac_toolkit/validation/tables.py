@@ -20,7 +20,7 @@ CAUSE_HEADER = (
     "y", "z", "sway",
 )  # fmt: skip
 CAUSE_GROUPS = (1, 3, 3, 3, 1)
-EFFECT_HEADER = ("effect", "share", "meaning")
+EFFECT_HEADER = ("effect", "share", "added last", "alone", "looks like")
 EFFECT_MEANINGS = {
     "delay": "poses late against the lengths",
     "sway phase": "frequency or start of the sway: inertia, height of the centre of mass",
@@ -69,8 +69,15 @@ def cause_rows(result: ValidationResult) -> Rows:
 
 def effect_rows(effects: ResidualEffects) -> Rows:
     """Return the share of each effect in an error, and what is left, as readable rows."""
-    shares = {**effects.shares, "other": effects.other}
-    return [(name, f"{share:.1%}", EFFECT_MEANINGS[name]) for name, share in shares.items()]
+    rows: Rows = [
+        (
+            name,
+            *(f"{max(x, 0.0):.1%}" for x in (share, *effects.ranges[name])),
+            EFFECT_MEANINGS[name],
+        )
+        for name, share in effects.shares.items()
+    ]
+    return [*rows, ("other", f"{effects.other:.1%}", "-", "-", EFFECT_MEANINGS["other"])]
 
 
 def _part_unit(result: ValidationResult) -> tuple[str, float]:
