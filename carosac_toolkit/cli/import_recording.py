@@ -34,6 +34,7 @@ from carosac_toolkit.interchange.bag_channels import (
     LENGTH_TYPES,
     POSE_TYPES,
     TF_TYPES,
+    has_orientation,
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
@@ -261,7 +262,8 @@ def _use(bag: Bag, topic: Topic) -> str:
     """Name the option that fits a message type; for unknown types the numeric fields."""
     kind = topic.kind
     if kind == IMU_TYPE:
-        return "--imu, --attitude"
+        first = bag.first(topic.name)
+        return "--imu" if first is None or not has_orientation(first) else "--imu, --attitude"
     if kind in TF_TYPES:
         return "--pose, with --frames"
     if kind in POSE_TYPES:
