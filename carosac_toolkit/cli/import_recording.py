@@ -17,7 +17,7 @@ carosac import recording run.csv --align --robot scampi --output aligned.parquet
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,6 +34,7 @@ from carosac_toolkit.interchange.bag_channels import (
     LENGTH_TYPES,
     POSE_TYPES,
     TF_TYPES,
+    has_orientation,
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
@@ -51,6 +52,10 @@ from carosac_toolkit.validation.time_shift import TimeShift
 
 _PER_CABLE = ("lengths", "tension", "command", "rates", "swivel")
 _OTHER_CHANNELS = (*_PER_CABLE[1:], "pose", "imu", "attitude", "inclination", "output")
+_OF_BAGS = (
+    "lengths", *_OTHER_CHANNELS[:-1], "frames", "names", "length_unit", "relative", "stamps",
+    "together", "definitions",
+)  # fmt: skip
 CLOCK_HEADER = (
     "channel", "offset [ms]", "sigma [ms]", "explained", "jitter [ms]", "intervals [ms]",
 )  # fmt: skip
@@ -108,7 +113,8 @@ class Options(CommonOptions):
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
     align: tyro.conf.FlagCreatePairsOff[bool] = False
     """Shift the stamps of poses, length rates, tensions and IMU to the clock of the lengths; it
-    needs --robot, or a recording that names its robot. Refused where a channel does not tell its offset."""
+    needs --robot, or a recording that names its robot. Refused where a channel does not tell its
+    offset."""
     align_channels: tuple[Literal["poses", "length_rate", "tension", "imu"], ...] = ()
     """Channels to align; by default those of the four that there are."""
 
@@ -146,10 +152,12 @@ def _align_file(options: Options) -> CommandResult:
     if not options.align:
         allowed = "a bag, or --align with a recording file"
         raise InvalidField("BAG", repr(options.bag[0]), allowed)
-    topics = [name for name in ("lengths", *_OTHER_CHANNELS[:-1]) if getattr(options, name)]
-    if topics:
-        allowed = "nothing with a recording file: its channels are known"
-        raise InvalidField(f"--{topics[0]}", "topics", allowed)
+    for field in (field for field in fields(options) if field.name in _OF_BAGS):
+        value = getattr(options, field.name)
+        if value != field.default:
+            said = " ".join(value) if isinstance(value, tuple) else str(value)
+            allowed = "nothing with a recording file: its channels are known"
+            raise InvalidField(f"--{field.name.replace('_', '-')}", said, allowed)
     path = Path(options.bag[0])
     recording, clocks = _aligned(load_recording(path), path, options)
     if recording.metadata.robot is None:
@@ -165,7 +173,7 @@ def _aligned(
     """Align clocks and print by how much; return the numbers too."""
     robot = find_robot(recording, path, options.robot).robot
     recording.require_cables(robot)
-    channels = options.align_channels or ALIGNED_CHANNELS
+    channels = tuple(dict.fromkeys(options.align_channels)) or ALIGNED_CHANNELS
     for name in options.align_channels:
         if name not in recording.channel_times:
             allowed = f"of {[c for c in ALIGNED_CHANNELS if c in recording.channel_times]}"
@@ -254,7 +262,8 @@ def _use(bag: Bag, topic: Topic) -> str:
     """Name the option that fits a message type; for unknown types the numeric fields."""
     kind = topic.kind
     if kind == IMU_TYPE:
-        return "--imu, --attitude"
+        first = bag.first(topic.name)
+        return "--imu" if first is None or not has_orientation(first) else "--imu, --attitude"
     if kind in TF_TYPES:
         return "--pose, with --frames"
     if kind in POSE_TYPES:

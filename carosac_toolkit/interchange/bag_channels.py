@@ -180,8 +180,16 @@ def attitudes(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
         if not all(hasattr(turn, axis) for axis in "wxyz"):
             allowed = f"a topic of {', '.join(_ATTITUDE_FIELDS)}, or {topic}.FIELD of a quaternion"
             raise InvalidField("--attitude", f"{spec!r}, {kind}", allowed)
+        if kind == IMU_TYPE and path == _ATTITUDE_FIELDS[IMU_TYPE] and not has_orientation(message):
+            got = f"{spec!r}, without orientation (orientation_covariance[0] is -1)"
+            raise InvalidField("--attitude", got, "a topic of a sensor that measures orientation")
         samples.add(time, _stamp(message), [turn.w, turn.x, turn.y, turn.z])
     return samples.ordered(f"{topic}.{path}", stamps)
+
+
+def has_orientation(message: Any) -> bool:
+    """Return whether a ``sensor_msgs/Imu`` claims an orientation; without one it says -1."""
+    return float(message.orientation_covariance[0]) != -1.0
 
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:

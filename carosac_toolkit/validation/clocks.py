@@ -141,8 +141,8 @@ def clock_warnings(
             yield (
                 f"The clock of channel {clock.channel} is {abs(clock.shift.seconds):.3f} s "
                 f"(+-{1e3 * clock.shift.sigma:.2g} ms) {side} that of the lengths: align it by "
-                f"'carosac import recording RECORDING --align --robot {robot.name} --output "
-                "ALIGNED.parquet'."
+                f"'carosac import recording RECORDING --align --align-channels {clock.channel} "
+                f"--robot {robot.name} --output ALIGNED.parquet'."
             )
 
 

@@ -41,9 +41,10 @@ def test_stamps_are_shifted_and_the_offset_is_printed_and_kept(file, tmp_path, c
 
 def test_only_the_named_channels_are_shifted_and_others_are_named(file, tmp_path, capsys):
     output = tmp_path / "aligned.csv"
-    words = ("--robot", "carosac", "--align-channels", "poses", "--output", output)
+    words = ("--robot", "carosac", "--align-channels", "poses", "poses", "--output", output)
     assert align(file, *words) == 0
     np.testing.assert_array_equal(load_recording(output).imu.time, moving_run().imu.time)
+    assert load_recording(output).metadata.clock_offsets.count("poses") == 1
     assert "Not aligned: tension, imu." in capsys.readouterr().out
 
 
@@ -63,6 +64,10 @@ def test_a_channel_without_an_offset_is_one_message_and_no_file(tmp_path, capsys
         ((), "--robot: got nothing"),
         (("--robot", "carosac", "--align-channels", "length_rate"), "allowed: of ['poses',"),
         (("--robot", "carosac", "--lengths", "/joints"), "its channels are known"),
+        (("--robot", "carosac", "--length-unit", "mm"), "--length-unit: got mm; allowed: nothing"),
+        (("--robot", "carosac", "--stamps", "receive"), "--stamps: got receive; allowed: nothing"),
+        (("--robot", "carosac", "--names", "a", "b"), "--names: got a b; allowed: nothing"),
+        (("--robot", "carosac", "--relative"), "--relative: got True; allowed: nothing"),
         (("--robot", "cogiro"), "got 4 cables; allowed: 8 cables"),
     ],
 )

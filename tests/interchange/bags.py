@@ -85,11 +85,14 @@ class Bags:
         ]  # fmt: skip
         return self.make("tf2_msgs/msg/TFMessage", transforms=made)
 
-    def imu(self, time: int, rate: Sequence[float], force: Sequence[float]) -> Any:
+    def imu(
+        self, time: int, rate: Sequence[float], force: Sequence[float], *, oriented: bool = True
+    ) -> Any:
         nothing = np.zeros(9)
+        spread = nothing if oriented else np.append(-1.0, nothing[1:])
         return self.make(
             "sensor_msgs/msg/Imu", header=self.header(time),
-            orientation=self.quaternion([1, 0, 0, 0]), orientation_covariance=nothing,
+            orientation=self.quaternion([1, 0, 0, 0]), orientation_covariance=spread,
             angular_velocity=self.vector(rate),
             angular_velocity_covariance=nothing, linear_acceleration=self.vector(force),
             linear_acceleration_covariance=nothing,

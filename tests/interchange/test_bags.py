@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.cli.main import main
 from carosac_toolkit.interchange import bag_channels, bag_chunks
 from carosac_toolkit.interchange.bag import open_bag
 from carosac_toolkit.interchange.bag_recording import Topics, read_bag
@@ -208,6 +209,21 @@ def test_a_rate_counts_the_gaps(mcap):
 def test_wrong_topics_are_one_message(mcap, topics, message):
     with pytest.raises(CarosacError, match=message):
         read(mcap, **topics)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_imu_without_orientation_gives_no_attitude(tmp_path, capsys, kind):
+    bags = Bags(kind)
+    path = bags.write(tmp_path, [
+        *run_messages(bags),
+        ("/bare", IMU, START + 10**9, bags.imu(START + 10**9, RATES[0], FORCES[0], oriented=False)),
+    ])  # fmt: skip
+    with pytest.raises(InvalidField, match="--attitude: got '/bare', without orientation"):
+        read(path, lengths=("/array",), attitude="/bare")
+    assert main(["import", "recording", str(path)]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
+    assert "--imu, --attitude" in lines["/imu"]
+    assert "--imu" in lines["/bare"] and "--attitude" not in lines["/bare"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -70,7 +70,9 @@ def test_a_delay_that_the_robot_states_is_no_offset_of_a_clock():
 def test_a_clock_that_is_apart_is_one_sentence_that_names_channel_offset_and_command():
     (text,) = find_misfits(late(moving_run(), {"poses": -2.0}), ROBOT)
     assert "clock of channel poses is 2.000 s" in text and "behind that of the lengths" in text
-    assert "carosac import recording RECORDING --align --robot carosac" in text
+    assert (
+        "carosac import recording RECORDING --align --align-channels poses --robot carosac" in text
+    )
     assert find_misfits(moving_run(), ROBOT) == ()
     assert find_misfits(late(moving_run(), {"poses": 0.05}), ROBOT) == ()  # a delay
 
