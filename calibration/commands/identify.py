@@ -115,7 +115,8 @@ def run(options: Options) -> CommandResult:
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
     worst = result.worst
-    effects = remaining_effects(recordings[worst], result, result.runs[worst])
+    found = remaining_effects(recordings[worst], result, result.runs[worst])
+    effects = found if isinstance(found, ResidualEffects) else None
     print()
     _print(result, effects)
     command = [
@@ -147,6 +148,7 @@ def run(options: Options) -> CommandResult:
         "robot": robot_source.name,
         **result.data(),
         "effects": None if effects is None else effects.data(),
+        "effects_reason": "" if isinstance(found, ResidualEffects) else found,
     }
     return CommandResult(data, status=1 if result.warnings else 0)
 

@@ -16,7 +16,7 @@ from carosac_toolkit.validation.residual_effects import ResidualEffects, residua
 
 def remaining_effects(
     recording: Recording, result: Identification, run: IdentifiedRun
-) -> ResidualEffects | None:
+) -> ResidualEffects | str:
     """Tell which effects the open-loop error of an identified robot looks like in one recording.
 
     Args:
@@ -25,7 +25,7 @@ def remaining_effects(
         run: What it says of this recording.
 
     Returns:
-        None where they cannot be told.
+        Why not, where they cannot be told.
     """
     turn = turn_between(result.before, result.robot)
     poses, errors = run.measured, run.errors
@@ -40,5 +40,5 @@ def remaining_effects(
     try:
         material = calibrated(recording, result.robot)
         return residual_effects(material, result.robot, poses.time, measured, modelled)
-    except CarosacError:
-        return None
+    except CarosacError as error:
+        return str(error)

@@ -132,7 +132,7 @@ class ValidationResult:
             robot's [m], or None where none was measured.
         effects: Effects that the error of the best model that moves looks like; None where they
             were not asked for, or cannot be told.
-        effects_model: Name of that model; empty without effects.
+        effects_model: Name of that model; empty where none was examined.
         effects_reason: Why effects is None; empty where it is not.
         warnings: Evidence that lengths and poses do not belong together, such as wrong units;
             empty for a plausible recording.

@@ -257,3 +257,13 @@ def test_what_a_model_claims_is_held_against_its_errors():
     informed = replace(ROBOT, model_error=error)
     sure = validate(perfect(), informed, ["dynamic_estimator"])
     assert sure.models["dynamic_estimator"].nees > 3.0 * usual
+
+
+def test_the_result_says_why_it_has_no_effects():
+    part = {"stop": 50, "effects": True}
+    short = validate(shifted(perfect(), [1e-3, 0.0, 0.0]), ROBOT, ["simulator"], **part)
+    assert short.models["simulator"].scores is not None and short.effects is None
+    assert "samples: got 50" in short.data()["effects_reason"]
+    still = validate(perfect(), ROBOT, [KS], **part)
+    assert still.effects_reason == "no model that moves solved every sample"
+    assert validate(perfect(), ROBOT, [KS]).effects_reason == "not asked for"
