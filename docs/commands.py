@@ -67,6 +67,11 @@ NEGATIVE = (
 # busy with other things; `identify` as its verdict, as a tenth of a run says little.
 VERDICTS = ("run", "identify")
 
+# Commands on a robot that is wrong on purpose: a part of the run may look like another frame.
+WRONG_ROBOT = (
+    "carosac validate poses.csv --robot carosac --models kinematic_solver --output before",
+)
+
 # Seconds that one of a name takes (others about 4), to share them out among jobs.
 SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "run": 15.0}
 
@@ -271,7 +276,8 @@ def run_all(run: Callable[[list[str]], int], commands: Sequence[Written]) -> lis
         status = run(shortened(command.words))
         took = f"{time.perf_counter() - start:6.1f} s"
         print(f"{took}  status {status}  {command.page}: {command.text}", flush=True)
-        allowed = (1,) if command.text in NEGATIVE else (0, 1) if command.name in VERDICTS else (0,)
+        verdict = command.name in VERDICTS or command.text in WRONG_ROBOT
+        allowed = (1,) if command.text in NEGATIVE else (0, 1) if verdict else (0,)
         if status not in allowed:
             failed.append(f"{command.page}: {command.text}: status {status}")
     return failed
