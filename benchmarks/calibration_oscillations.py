@@ -28,6 +28,7 @@ from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import values_of
 from carosac_toolkit.robot.robot import Robot
+from tests.robots import hanging
 
 TITLE = "Identification from free oscillations"
 PULLEY_RADIUS_M = 0.04
@@ -43,25 +44,8 @@ SURVEYED = IdentificationSettings(
 
 def robot_with_pulleys(cables: int) -> Robot:
     """Return a robot of 3 or 4 cables with pulleys."""
-    robot = ct.load_robot("carosac")
-    robot = replace(robot, pulley_radius=np.full(4, PULLEY_RADIUS_M))
-    if cables == 4:
-        return robot
-    per_cable = (
-        "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
-        "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
-        "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
-        "anchor_friction", "length_hysteresis",
-    )  # fmt: skip
-    return replace(
-        robot, name="three", cable_names=("left", "right", "rear"),
-        exit_points=np.array([[-3.0, -2.0, 6.0], [3.0, -2.0, 6.0], [0.0, 3.5, 6.0]]),
-        anchor_points=np.array([[-0.2, -0.15, 0.0], [0.2, -0.15, 0.0], [0.0, 0.25, 0.0]]),
-        mass=10.0, center_of_mass=np.array([0.0, 0.0, -0.2]), inertia=np.diag([0.3, 0.3, 0.4]),
-        workspace_min=np.array([-1.0, -0.5, 1.0]), workspace_max=np.array([1.0, 0.5, 4.0]),
-        home_position=np.array([0.0, 0.0, 2.0]),
-        **{name: getattr(robot, name)[:3] for name in per_cable},
-    )  # fmt: skip
+    robot = ct.load_robot("carosac") if cables == 4 else hanging(cables)
+    return replace(robot, pulley_radius=np.full(cables, PULLEY_RADIUS_M))
 
 
 def draw_plant(robot: Robot, settings: IdentificationSettings, seed: int) -> Robot:

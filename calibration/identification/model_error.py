@@ -10,7 +10,7 @@ residuals cannot tell sources apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,13 @@ from carosac_toolkit.loop.consistency import normalised_square
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.model_error import ModelError
+from carosac_toolkit.robot.model_error import MODEL_ERROR_UNITS, ModelError
 from carosac_toolkit.robot.robot import Robot
 
 # Prior standard deviations of the logarithms: of what moves the platform, and of the poses' noise.
 SOURCE_SPREAD, SENSOR_SPREAD = 2.0, 1.0
 LOG_RATIO_MAX = 9.0  # of a size to the usual one: smaller or larger is none, or nonsense
-FIELDS = tuple(item.name for item in fields(ModelError))
+FIELDS = tuple(MODEL_ERROR_UNITS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -25,7 +24,8 @@ from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.phases import slope
+from carosac_toolkit.validation.first_motion import SIX_CABLES
+from carosac_toolkit.validation.phases import slope, summed_turns
 from carosac_toolkit.validation.time_shift import (
     Signal,
     TimeShift,
@@ -40,7 +40,6 @@ OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
 MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
 UNEXPLAINED_SHARE_MAX = {"poses": 0.05}  # of the variance: cables or units are mixed up beyond
 UNEXPLAINED_SHARE_OTHER_MAX = 0.4
-SIX_CABLES = 6  # more have tensions that the motion does not fix
 REST_SAMPLES_MAX = 6000  # of the lengths, for which the pose of rest is solved
 IMU_BIN_S = 0.04  # [s] over which inertial samples are averaged
 
@@ -287,14 +286,15 @@ class _Comparisons:
             position, rotation = rest.position, rest.rotation
         if len(time) < 3:
             raise UnknownShift("there are too few poses")
-        steps = Rotation.from_matrix(rotation[1:] @ rotation[:-1].swapaxes(1, 2)).as_rotvec()
-        turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-        return time, position, rotation, slope(time, np.hstack([position, turned]))
+        moved = np.hstack([position, summed_turns(rotation)])
+        return time, position, rotation, slope(time, moved)
 
     def _tensions(self) -> Signal:
         """Return tensions [N] that move the platform as measured, or else hold it at rest."""
         robot = self._robot
-        if self._poses_late is None or robot.n > SIX_CABLES:
+        if (
+            self._poses_late is None or robot.n > SIX_CABLES
+        ):  # tensions that the motion does not fix
             time, rest = self._rests()
             return Signal(time=time, value=rest.tension)
         time, position, rotation, twist = self._motion()

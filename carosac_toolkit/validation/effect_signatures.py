@@ -27,7 +27,9 @@ from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import SIX_CABLES
 from carosac_toolkit.validation.fleet_motion import fleet_motion
+from carosac_toolkit.validation.phases import summed_turns
 from carosac_toolkit.validation.time_shift import Signal, binned
 
 GRID = Scaled(0.1, "s")  # lengths go straight over no longer time
@@ -35,7 +37,6 @@ LENGTH_BIN = Scaled(0.05, "s")  # over which noise of the lengths is averaged
 STEP_SHARE = 0.25  # of a prior sigma, with which an effect is simulated
 MODE_SAMPLES_MAX = 300  # poses of rest at which free modes are solved for, evenly spread
 PHASE_PER_SAMPLE_MAX_RAD = 2.5  # of a mode between samples that still show it
-SIX_CABLES = 6  # with so many, no mode is free
 # Prior standard deviations of the sizes of effects: what a calibrated robot may be off by.
 DELAY_SIGMA = Scaled(0.05, "s")
 PHASE_SIGMA_RAD = 0.5
@@ -310,10 +311,7 @@ class _FreeModes:
             twist: Simulated, in W, shape (M, 6).
             rows: Of the times asked for, shape (K,).
         """
-        turns = Rotation.from_matrix(
-            self._rest.rotation[1:] @ self._rest.rotation[:-1].swapaxes(1, 2)
-        ).as_rotvec()
-        turned = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+        turned = summed_turns(self._rest.rotation)
         path = CubicSpline(self._time, np.hstack([self._rest.position, turned]))
         modal = np.einsum("kij,kj->ki", self._at(self._to_modes, when), twist - path(when, 1))
         shape = self._at(self._shape, time)

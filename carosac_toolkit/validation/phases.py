@@ -73,6 +73,20 @@ def anchor_speed(robot: Robot, time: Array, position: Array, rotation: Array) ->
     return np.asarray(np.linalg.norm(rate, axis=2).max(axis=1))
 
 
+def summed_turns(rotation: Array) -> Array:
+    """Return rotation vectors from pose to pose, summed up from 0 at the first [rad], (K, 3).
+
+    Their rate is the angular velocity in W, for turns of any size.
+
+    Args:
+        rotation: From P to W, shape (K, 3, 3).
+    """
+    from scipy.spatial.transform import Rotation
+
+    steps = Rotation.from_matrix(rotation[1:] @ rotation[:-1].swapaxes(1, 2)).as_rotvec()
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+
 def slope(time: Array, value: Array, window: float = SLOPE_WINDOW_S) -> Array:
     """Return the rate of change at each sample, exact for straight lines and robust to noise.
 
