@@ -132,10 +132,11 @@ def _turn_of_world(position: Array, rests: Array, by_attitudes: Array, width_min
     turn = by_attitudes
     if len(measured) > 1:
         width = float(np.linalg.svd(measured, compute_uv=False)[1]) / np.sqrt(len(measured))
-        aligned = Rotation.align_vectors(wanted, measured)[0].as_matrix() if width > 0.0 else turn
-        misfit = float(np.sqrt(((wanted - measured @ aligned.T) ** 2).sum(axis=1).mean()))
-        if width > max(width_min, WIDTH_OVER_MISFIT_MIN * misfit):
-            turn = aligned
+        if width > width_min:
+            aligned = Rotation.align_vectors(wanted, measured)[0].as_matrix()
+            misfit = float(np.sqrt(((wanted - measured @ aligned.T) ** 2).sum(axis=1).mean()))
+            if width > WIDTH_OVER_MISFIT_MIN * misfit:
+                turn = aligned
     before, after = (float(((wanted - measured @ t.T) ** 2).sum()) for t in (np.eye(3), turn))
     explains = after < LEFT_SHARE_MAX**2 * before
     return turn if explains and _angle(turn) > WORLD_TURN_MIN_RAD else np.eye(3)
