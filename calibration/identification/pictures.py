@@ -78,15 +78,15 @@ def draw_runs(result: Identification) -> Figure:
     place = np.arange(len(result.runs))
     errors = np.array([run.rmse for run in result.runs]).T
     unit, factor = unit_of([errors])
-    for shift, values, color, name in zip(
-        (-0.5, 0.5), errors, (COLOR_BEFORE, COLOR_AFTER), ("before", "after"), strict=True
+    for values, color, marker, name in zip(
+        errors, (COLOR_BEFORE, COLOR_AFTER), "os", ("before", "after"), strict=True
     ):
-        at = place + shift * BAR_WIDTH
-        axes.bar(at, factor * values, BAR_WIDTH, color=color, label=name)
+        axes.plot(place, factor * values, marker, color=color, label=name)
     names = [run.name + (" (kept back)" if run.train is None else "") for run in result.runs]
     axes.set_xticks(place, names, rotation=60, ha="right")
     axes.set(ylabel=f"RMS error [{unit}]", yscale="log")
-    axes.grid(alpha=0.25, axis="y")
+    axes.grid(alpha=0.25, axis="y", which="both")
+    axes.margins(y=0.15)
     set_title(figure, f"{result.robot.name}: open-loop error of each recording")
     put_legend(figure, axes)
     return figure
