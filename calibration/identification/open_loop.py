@@ -68,7 +68,7 @@ class OpenLoopStart:
 
     Attributes:
         sway: Free directions.
-        coordinates: Of each robot, shape (B, 2 m).
+        coordinates: Of each robot, as the sway has them, shape (B, k).
     """
 
     sway: FreeSway
@@ -315,7 +315,7 @@ class _Starts:
             position[which], rotation[which], twist[which] = swaying_states(
                 sways, [robots[int(b)] for b in which],
                 Pose(position=rest.position[which], rotation=rest.rotation[which]),
-                lengths[0, which], rate[which], np.array(coordinates),
+                lengths[0, which], rate[which], coordinates,
             )  # fmt: skip
         return cls(hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist)
 

@@ -1,7 +1,9 @@
 """Sway with which a recording begins: displacement and speed along the free directions.
 
 With n < 6 cables of constant lengths a platform still moves in 6 - n directions. How far it is from
-its equilibrium at the first sample, and how fast it moves there, are unknown beside the robot.
+its equilibrium at the first sample, and how fast it moves there, are unknown beside the robot. A
+platform that moves also vibrates on its elastic cables: how far they are stretched beyond their
+lengths at rest, and how fast, is unknown too.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from carosac_toolkit.physics.rest.held_lengths import (
     poses_on_lengths,
     twists_on_rates,
 )
-from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_frequencies
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.physics.scales import Scales
@@ -33,38 +35,54 @@ from carosac_toolkit.validation.phases import anchors_at
 
 REST_DISPLACEMENT_SIGMA = Scaled(0.01, "m", least=1e-3)  # of a platform that seems to rest
 MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that moves
+STRETCH_SIGMA_SHARE = 0.5  # of the elongation at rest: prior sigma of a further one, in motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FreeSway:
     """Free directions of a platform at rest, m = 6 - n of them, none with six cables or more.
 
-    The coordinates of a start are m displacements from the equilibrium and m speeds, each over its
-    prior sigma; their prior mean is 0.
+    The coordinates of a start are m displacements from the equilibrium and m speeds, and of a
+    platform that moves the elongations of its n cables beyond those at rest, and their rates; each
+    over its prior sigma. Their prior mean is 0.
 
     Attributes:
         shape: Columns are twists (linear first, in W, at the origin) that move the fastest anchor
             point by 1 m/s, shape (6, m); modes of the platform on cables that do not stretch.
         frequency: Of these modes [rad/s], slowest first, shape (m,).
         sigma: Prior sigma of the displacements [m], then of the speeds [m/s], shape (2 m,).
-        guess: Coordinates from which a search begins, shape (2 m,).
+        stretch_sigma: Prior sigma of the elongations [m], then of their rates [m/s], shape (2 n,);
+            (0,) for a platform that seems to rest.
+        guess: Coordinates from which a search begins, shape (2 m + 2 n,) or (2 m,).
     """
 
     shape: Array
     frequency: Array
     sigma: Array
+    stretch_sigma: Array
     guess: Array
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates."""
-        count = range(len(self.frequency))
-        words = ("displacement", "speed")
-        return tuple(f"start.{word}[{i}]" for word in words for i in count)
+        words = {
+            "displacement": len(self.sigma) // 2,
+            "speed": len(self.sigma) // 2,
+            "elongation": len(self.stretch_sigma) // 2,
+            "elongation_rate": len(self.stretch_sigma) // 2,
+        }
+        return tuple(f"start.{word}[{i}]" for word, count in words.items() for i in range(count))
 
     def values(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return displacements [m] and speeds [m/s] along the free directions, each (..., m)."""
-        parts = np.split(self.sigma * coordinates, 2, axis=-1)
+        """Return displacements [m] and speeds [m/s] along the free directions, each (m,)."""
+        parts = np.split(self.sigma * coordinates[: len(self.sigma)], 2)
+        return parts[0], parts[1]
+
+    def elongations(self, coordinates: Array) -> tuple[Array, Array]:
+        """Return elongations [m] of cables and their rates [m/s], each (n,), or (1,) zero."""
+        if not len(self.stretch_sigma):
+            return np.zeros(1), np.zeros(1)
+        parts = np.split(self.stretch_sigma * coordinates[len(self.sigma) :], 2)
         return parts[0], parts[1]
 
 
@@ -91,14 +109,21 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
     frequency = np.sqrt(np.abs(squared))
     floor = np.full(len(frequency), REST_DISPLACEMENT_SIGMA.of(Scales(robot).ratios))
     sigma = np.concatenate([floor, frequency * floor])
-    guess = np.zeros(len(sigma))
+    guess, stretch_sigma = np.zeros(len(sigma)), np.zeros(0)
     if moves and len(frequency):
         first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
         guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
         swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
         sigma = np.concatenate([reach, frequency * reach])
-    return FreeSway(shape=shape, frequency=frequency, sigma=sigma, guess=guess / sigma)
+        stretch_sigma = _stretch_sigma(robot, rest)
+    return FreeSway(
+        shape=shape,
+        frequency=frequency,
+        sigma=sigma,
+        stretch_sigma=stretch_sigma,
+        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma))]),
+    )
 
 
 def swaying_states(
@@ -107,12 +132,12 @@ def swaying_states(
     rest: Pose,
     length: Array,
     rate: Array,
-    coordinates: Array,
+    coordinates: Sequence[Array],
 ) -> tuple[Array, Array, Array]:
     """Return where B robots start.
 
-    Displaced platforms are moved on to where their straight cables are as long as at rest, so that
-    a large swing does not stretch them.
+    Displaced platforms are moved on to where their straight cables are as long as at rest, or by
+    their elongation longer: a large swing alone does not stretch them.
 
     Args:
         sways: Their free directions.
@@ -120,7 +145,7 @@ def swaying_states(
         rest: Their equilibria, B of them.
         length: Unstrained lengths there [m], shape (B, n).
         rate: Of these [m/s], shape (B, n).
-        coordinates: Shape (B, 2 m).
+        coordinates: Of each robot, as its sway has them.
 
     Returns:
         Positions (B, 3) [m], rotations (B, 3, 3), and twists (B, 6) of the origins in W.
@@ -129,6 +154,13 @@ def swaying_states(
     move = np.array([sway.shape @ value[0] for sway, value in zip(sways, values, strict=True)])
     free = np.array([sway.shape @ value[1] for sway, value in zip(sways, values, strict=True)])
     position, rotation = moved_poses(rest.position, rest.rotation, move)
+    longer, faster = (
+        np.array([
+            np.broadcast_to(sway.elongations(each)[k], robot.n)
+            for sway, each, robot in zip(sways, coordinates, robots, strict=True)
+        ])
+        for k in range(2)
+    )  # fmt: skip
     twist = np.empty_like(free)
     rows: dict[int, list[int]] = {}  # of each robot: its worlds are one batch
     for b, robot in enumerate(robots):
@@ -136,11 +168,21 @@ def swaying_states(
     for own in rows.values():
         robot = robots[own[0]]
         wanted = straight_length(robot, rest.position[own], rest.rotation[own]).length
+        wanted = wanted + longer[own]
         position[own], rotation[own] = poses_on_lengths(robot, position[own], rotation[own], wanted)
         twist[own] = twists_on_rates(
-            robot, position[own], rotation[own], length[own], rate[own], free[own]
-        )
+            robot, position[own], rotation[own], length[own], rate[own] + faster[own],
+            free[own],
+        )  # fmt: skip
     return position, rotation, twist
+
+
+def _stretch_sigma(robot: Robot, rest: Equilibrium) -> Array:
+    """Return the prior sigma of elongations [m] and of their rates [m/s], shape (2 n,)."""
+    strain = rest.tension[0] / robot.axial_stiffness
+    sigma = STRETCH_SIGMA_SHARE * strain * (rest.unstrained_length[0] + robot.run_length)
+    stiff = 2.0 * np.pi * natural_frequencies(robot, rest)[0, -robot.n :].mean()
+    return np.concatenate([sigma, stiff * sigma])
 
 
 def _guess(rest: Equilibrium, first: Belief, root: Array, shape: Array) -> Array:
