@@ -23,6 +23,8 @@ class ParameterEstimate:
         covariance: Of the estimate, prior knowledge included, shape (k, k).
         start: Before the calibration, shape (k,).
         prior_sigma: One standard deviation of what was known before, infinite for nothing, (k,).
+        factors: Names of positive parameters that were known up to a factor: what was known of
+            their logarithm is normal, with `prior_sigma` over `start` its standard deviation.
     """
 
     names: tuple[str, ...]
@@ -30,6 +32,7 @@ class ParameterEstimate:
     covariance: Array
     start: Array
     prior_sigma: Array
+    factors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -57,8 +60,23 @@ class ParameterEstimate:
 
     @property
     def moved(self) -> Array:
-        """Distance from the start in prior sigmas, shape (k,); 0 without a prior."""
-        return np.asarray(np.abs(self.value - self.start) / self.prior_sigma)
+        """Change from the start in prior sigmas, shape (k,); 0 without a prior."""
+        rows = self._factor_rows
+        change = self.value - self.start
+        change[rows] = self.start[rows] * np.log(self.value[rows] / self.start[rows])
+        return np.asarray(change / self.prior_sigma)
+
+    @property
+    def kept(self) -> Array:
+        """Share of the prior sigma that is left, shape (k,); 0 without a prior."""
+        rows = self._factor_rows
+        left = self.sigma
+        left[rows] *= self.start[rows] / self.value[rows]
+        return np.asarray(left / self.prior_sigma)
+
+    @property
+    def _factor_rows(self) -> list[int]:
+        return [self.names.index(name) for name in self.factors]
 
     @property
     def correlation(self) -> Array:
@@ -85,6 +103,7 @@ class ParameterEstimate:
             covariance=self.covariance[np.ix_(rows, rows)],
             start=self.start[rows],
             prior_sigma=self.prior_sigma[rows],
+            factors=tuple(name for name in self.factors if name in names),
         )
 
     def data(self) -> dict[str, dict[str, Any]]:

@@ -162,8 +162,7 @@ def draw_learnt(robot: str, estimate: ParameterEstimate) -> Figure:
     """Draw what is left of the prior sigma of each parameter, and how far the parameter moved."""
     known = np.isfinite(estimate.prior_sigma)
     names = [name for name, has in zip(estimate.names, known, strict=True) if has]
-    left = (estimate.sigma / estimate.prior_sigma)[known]
-    moved = ((estimate.value - estimate.start) / estimate.prior_sigma)[known]
+    left, moved = estimate.kept[known], estimate.moved[known]
     figure = new_figure(DOUBLE_COLUMN_INCH, 0.9 + 0.15 * len(names))
     first, second = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))

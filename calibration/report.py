@@ -43,15 +43,14 @@ _SHOWN_IN_MM = ("exit_points", "anchor_points", "drum_radius", "center_of_mass",
 def parameter_rows(estimate: ParameterEstimate) -> Rows:
     """Return one row for each parameter, with as many digits as its sigma carries."""
     rows: Rows = []
-    for name, unit, start, prior, value, sigma in zip(
+    for name, unit, start, prior, value, sigma, moved in zip(
         estimate.names, estimate.units, estimate.start, estimate.prior_sigma, estimate.value,
-        estimate.sigma, strict=True,
+        estimate.sigma, estimate.moved, strict=True,
     ):  # fmt: skip
         word, factor = (
             ("mm", 1e3) if name.startswith(_SHOWN_IN_MM) else _UNITS_SHOWN.get(unit, (unit, 1.0))
         )
         digits = _digits(sigma * factor)
-        moved = value - start
         rows.append(
             (
                 name,
@@ -60,8 +59,8 @@ def parameter_rows(estimate: ParameterEstimate) -> Rows:
                 plain(prior * factor, 2) if np.isfinite(prior) else "nothing",
                 f"{value * factor:.{digits}f}",
                 plain(sigma * factor, 2),
-                f"{moved * factor:+.{digits}f}",
-                f"{abs(moved) / prior:.1f}" if np.isfinite(prior) else "-",
+                f"{(value - start) * factor:+.{digits}f}",
+                f"{abs(moved):.1f}" if np.isfinite(prior) else "-",
             )
         )
     return rows

@@ -356,7 +356,7 @@ class Identification(CalibrationResult):
 
     def _untaught(self) -> list[str]:
         """Return the parameters that the data say little about."""
-        kept = self.estimate.sigma / self.estimate.prior_sigma
+        kept = self.estimate.kept
         fields = [field_of(name) for name in self.estimate.names]
         words = []
         for field in dict.fromkeys(fields):
@@ -372,7 +372,7 @@ class Identification(CalibrationResult):
         """Return the parameters that moved further than was thought possible."""
         far = [
             f"{name} ({share:.1f} sigmas)"
-            for name, share in zip(self.estimate.names, self.estimate.moved, strict=True)
+            for name, share in zip(self.estimate.names, np.abs(self.estimate.moved), strict=True)
             if share > CONTRADICTION_SIGMAS
         ]
         if not far:

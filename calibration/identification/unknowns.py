@@ -147,6 +147,11 @@ class Coordinates:
             covariance=0.5 * (joint + joint.T),  # symmetric to the last bit
             start=values(np.zeros(len(coordinates))),
             prior_sigma=np.sqrt(np.diag(first @ self.prior.covariance @ first.T)),
+            factors=tuple(
+                name
+                for name, factor in zip(self.prior.names, self.factor, strict=True)
+                if factor > 0.0 and name not in _INERTIA_NAMES
+            ),
         )
 
 

@@ -246,7 +246,7 @@ def _warnings(
             f"The fit did not settle within {ROUNDS_MAX} rounds of reweighting: often what was "
             "known before, such as surveyed exit points, contradicts these lengths and poses."
         )
-    moved = estimate.moved
+    moved = np.abs(estimate.moved)
     far = np.flatnonzero(moved > PRIOR_SIGMAS_MAX)
     if len(far):
         worst = far[np.argsort(-moved[far])][:4]

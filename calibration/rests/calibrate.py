@@ -253,7 +253,7 @@ def _warnings(result: RestCalibration, search: _Search, improbable: bool) -> lis
             f"{_what(result)} All sigmas are that much wider."
         )
     moved = np.concatenate(
-        [result.estimate.moved, [abs(s.value) / s.prior_sigma for s in result.sensors]]
+        [np.abs(result.estimate.moved), [abs(s.value) / s.prior_sigma for s in result.sensors]]
     )
     names = [*result.estimate.names, *(sensor.name for sensor in result.sensors)]
     far = np.flatnonzero(moved > PRIOR_SIGMAS_MAX)

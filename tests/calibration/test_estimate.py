@@ -36,6 +36,18 @@ def test_a_selection_keeps_what_belongs_together_in_another_order():
     assert part.index("mass") == 1
 
 
+def test_a_factor_moves_by_its_logarithm_and_changes_by_its_own_unit():
+    free, held = estimate(value=[46.0, 0.033, 1.4]), 0.2 / 46.0 / (1.0 / 23.0)
+    found = estimate(value=[46.0, 0.033, 1.4], factors=("mass",))
+    assert free.moved == pytest.approx([23.0, 0.0, -2.0])
+    assert found.moved == pytest.approx([23.0 * np.log(2.0), 0.0, -2.0])
+    assert found.kept == pytest.approx([held, 0.0, 0.0])  # the share of its own value counts
+    back = estimate(value=[11.5, 0.033, 1.5], factors=("mass",))
+    assert back.moved[0] == pytest.approx(-found.moved[0])
+    assert back.select(["mass"]).moved == pytest.approx(back.moved[:1])
+    assert estimate().select(["length_delay"]).factors == ()
+
+
 def test_json_holds_every_parameter_with_its_unit_and_null_for_no_prior():
     data = json.loads(json.dumps(estimate().data(), allow_nan=False))
     assert data["mass"] == {
