@@ -215,6 +215,7 @@ class Simulator:
         *,
         unstrained_length: ArrayLike | None = None,
         twist: ArrayLike | None = None,
+        sliding: ArrayLike | None = None,
         worlds: Sequence[int] | NDArray[Any] | None = None,
     ) -> None:
         """Place worlds at rest in static equilibrium, or anywhere; their winches hold still.
@@ -231,6 +232,8 @@ class Simulator:
             unstrained_length: Lengths [m], shape (K, n); None: those of the rest.
             twist: Velocity with which they start, linear [m/s] then angular [rad/s] of the
                 platform origin in W, shape (K, 6); cables move along. None: at rest.
+            sliding: Twist along which the platform moved last, shape (K, 6): where there is dry
+                friction, it has bent what rubs. None: `twist`.
             worlds: Indices of K worlds, or a mask of shape (B,); None: all of them.
 
         Raises:
@@ -246,6 +249,10 @@ class Simulator:
             start = self._displaced(which, position, rotation, unstrained_length)
         else:
             start = Placement.of(self._rest(which, position, rotation, unstrained_length))
+        if sliding is not None:
+            before = batch("sliding", sliding, (6,))
+            check_rows("sliding", before, count)
+            start = replace(start, sliding=before)
         self._place(which, start, moving)
 
     def step(self, unstrained_length_command: ArrayLike | wp.array, duration: float) -> None:

@@ -5,6 +5,10 @@ lasts for many samples. Each sample then counts for less than one: of N errors w
 rho, as of their derivatives, about N / (1 + 2 sum rho^2) are independent (Bartlett, Journal of the
 Royal Statistical Society B 8, 1946). A noise model that predicts one error from those before would
 use the data better, but explains a mistuned mode of the robot as noise just as well.
+
+Of many recordings every error counts, and alike on all axes: how their sums scatter from recording
+to recording tells afterwards what they are worth. To take an error that lasts, or one axis, for
+noise while the search goes on would hide just what the parameters have yet to explain.
 """
 
 from __future__ import annotations
@@ -54,11 +58,21 @@ def estimate_noise(errors: Sequence[Array]) -> PoseErrorNoise:
     together = np.concatenate(errors)
     typical = np.median(np.abs(together), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((together**2).mean(axis=0))
-    least = SIGMA_MIN if len(errors) < RUNS_APART_MIN else MANY_SIGMA_SHARE * SIGMA_MIN
+    sigma = np.minimum(rms, 1.5 * typical)
+    if len(errors) >= RUNS_APART_MIN:
+        pooled = np.repeat(np.sqrt((sigma.reshape(2, 3) ** 2).mean(axis=1)), 3)
+        return PoseErrorNoise(
+            sigma=np.maximum(MANY_SIGMA_SHARE * SIGMA_MIN, pooled), repeats=np.ones(6)
+        )
     return PoseErrorNoise(
-        sigma=np.maximum(least, np.minimum(rms, 1.5 * typical)),
-        repeats=np.array([_repeats([run[:, k] for run in errors]) for k in range(6)]),
+        sigma=np.maximum(SIGMA_MIN, sigma),
+        repeats=repeats_of(errors),
     )
+
+
+def repeats_of(errors: Sequence[Array]) -> Array:
+    """Return how many errors (K, 6) of each run count as one, shape (6,)."""
+    return np.array([_repeats([run[:, k] for run in errors]) for k in range(6)])
 
 
 def _repeats(errors: Sequence[Array]) -> float:

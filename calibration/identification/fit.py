@@ -25,12 +25,15 @@ from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
-SETTLED_DECREASE = 0.1  # squared sigmas by which a step must promise to lower the cost
+# Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
+# where many recordings tell their sigmas, otherwise for each axis that counts.
+SETTLED_DECREASE = 0.1
 POSE_SHARES = (
     0.15,
     0.4,
     1.0,
 )  # of the poses, from the first: later ones would be out of phase at first
+SHARES_OF_MANY = (0.04, 0.12, 0.35, 1.0)  # of those of many recordings, which may begin with a jolt
 STEPS_PER_SHARE = 4  # for each share but the last
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
@@ -124,7 +127,7 @@ class Fitter:
         """
         at = self._first
         whole = self._runs
-        for share in POSE_SHARES:
+        for share in SHARES_OF_MANY if self._many else POSE_SHARES:
             self._runs = tuple(run.first(share) for run in whole)
             state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
             at = state.at
@@ -149,6 +152,7 @@ class Fitter:
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
+        self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(self._first, None, lambda poses, position, rotation: None)
         return self._starts(state.at)
 
@@ -167,7 +171,7 @@ class Fitter:
         """Search from somewhere, for some steps or to the end."""
         damping, settled, coarse = DAMPING_START, False, True
         errors = self._errors_at(at)
-        least = SETTLED_DECREASE * self._axes
+        least = SETTLED_DECREASE * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
@@ -270,15 +274,19 @@ class Fitter:
                 known[key] = None
         return known[key]
 
-    def _jacobians(self, at: Array, *, coarse: bool) -> list[Array]:
+    def _jacobians(self, at: Array, *, coarse: bool, starts: bool = False) -> list[Array]:
         """Return the derivatives of each run's errors (K, 6) by what it depends on, (K, 6, p).
+
+        With `starts` those by the robot are left at 0.
 
         Coarse ones come from longer time steps: half the work, and the same within a percent or so.
         That leads to where the search ends within a sigma, and exact ones lead to its end.
         """
-        time_step = COARSE_STEP_RATIO * self._settings.time_step if coarse else self._time_step
+        time_step = (COARSE_STEP_RATIO if coarse else 1.0) * self._time_step
         steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
-        varied = [own[self._searched[own]] for own in self._own]
+        searched = self._searched.copy()
+        searched[: self._count] &= not starts
+        varied = [own[searched[own]] for own in self._own]
         errors, good = self._simulated(
             [np.vstack([at, at + steps[rows]]) for rows in varied],
             time_step,
@@ -291,7 +299,7 @@ class Fitter:
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
             jacobian = np.zeros((*each.shape[1:], len(own)))
             slopes = (each[1:] - each[0]) / FINITE_DIFFERENCE_STEP
-            jacobian[:, :, self._searched[own]] = np.moveaxis(slopes, 0, 2)
+            jacobian[:, :, searched[own]] = np.moveaxis(slopes, 0, 2)
             jacobians.append(jacobian)
         return jacobians
 
@@ -343,15 +351,45 @@ class Fitter:
                 for k, point in enumerate(points)
             ]
             best = int(np.argmin(costs))
-            if costs[best] < lowest:
-                return _Step(
-                    at=points[best],
-                    errors=[each[best] for each in trials],
-                    damping=max(damping / 8.0, 1e-6),
-                    decrease=lowest - costs[best],
-                )
+            if np.isfinite(costs[best]):
+                point, found = points[best], [each[best] for each in trials]
+                if self._many:
+                    point, found = self._restarted(point, found, noise)
+                cost = self._cost(point, found, noise)
+                if cost < lowest:
+                    return _Step(
+                        at=point,
+                        errors=found,
+                        damping=max(damping / 8.0, 1e-6),
+                        decrease=lowest - cost,
+                    )
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
+
+    def _restarted(
+        self, at: Array, errors: list[Array], noise: PoseErrorNoise
+    ) -> tuple[Array, list[Array]]:
+        """Let each run start as suits the robot where a step led, if that lowers its cost.
+
+        The first motion follows a change of the robot far from linearly: a step that the starts
+        have not followed yet looks worse than where it leads.
+        """
+        jacobians = self._jacobians(at, coarse=True, starts=True)
+        own = [rows[self._count :] for rows in self._own]
+        trial = at.copy()
+        for rows, error, jacobian in zip(own, errors, jacobians, strict=True):
+            flat = jacobian[:, :, self._count :].reshape(-1, len(rows))
+            weights = noise.weights(error).reshape(-1, 1)
+            hessian = flat.T @ (weights * flat) + self._precision[np.ix_(rows, rows)]
+            gradient = flat.T @ (weights[:, 0] * error.ravel()) + at[rows]
+            trial[rows] -= np.linalg.solve(hessian, gradient)
+        trials, good = self._simulated([trial[None]] * len(self._runs), self._time_step)
+        point, found = at.copy(), list(errors)
+        for k, rows in enumerate(own):
+            before = noise.cost(errors[k]) + float(at[rows] @ at[rows])
+            if good[k][0] and noise.cost(trials[k][0]) + float(trial[rows] @ trial[rows]) < before:
+                point[rows], found[k] = trial[rows], trials[k][0]
+        return point, found
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""

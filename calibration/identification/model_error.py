@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.error_growth import SOURCES, ErrorGrowth, error_growth
-from calibration.identification.error_noise import estimate_noise
+from calibration.identification.error_noise import repeats_of
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.consistency import normalised_square
 from carosac_toolkit.recordings.encoders import calibrated
@@ -102,7 +102,7 @@ def find_model_error(runs: Sequence[Residuals]) -> ModelError:
     errors = np.concatenate([run.in_world for run in runs])
     always = np.concatenate([run.growth.always for run in runs])
     parts = np.concatenate([run.parts() for run in runs], axis=1)
-    repeats = float(estimate_noise([run.errors for run in runs]).repeats.mean())
+    repeats = float(repeats_of([run.errors for run in runs]).mean())
     spread = np.array([SOURCE_SPREAD if name in SOURCES else SENSOR_SPREAD for name in FIELDS])
 
     def cost(log: Array) -> tuple[float, Array]:

@@ -230,7 +230,7 @@ def _identify(
         excess=fit.excess,
         model_error=None if judged is None else judged.error,
         nees=None if judged is None else judged.nees,
-        fitted_samples=sum(len(run.poses.time) for run in trained),
+        fitted_samples=sum(len(run.first(1.0).poses.time) for run in trained),
     )
 
 
@@ -268,10 +268,8 @@ def _prepared(
     sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
     span = part.train or part.test
     assert span is not None, "a recording is fitted or scored"
-    seen = poses.within(*span).thinned(settings.rate)
-    return _Run(
-        part=part, poses=poses, first=first, fitted=FittedRun(path=path, poses=seen, sway=sway)
-    )
+    fitted = FittedRun(path=path, poses=poses.within(*span), rate=settings.rate, sway=sway)
+    return _Run(part=part, poses=poses, first=first, fitted=fitted)
 
 
 def _check(part: _Part, robot: Robot) -> MeasuredPoses:

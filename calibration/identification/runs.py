@@ -17,15 +17,22 @@ class FittedRun:
 
     Attributes:
         path: Readings.
-        poses: Measured ones to be fitted.
+        poses: Measured ones that may be fitted.
+        rate: Of poses that are fitted, of all of them [Hz].
         sway: Unknown motion at the start.
     """
 
     path: LengthPath
     poses: MeasuredPoses
+    rate: float
     sway: FreeSway
 
     def first(self, share: float) -> FittedRun:
-        """Return the run with a share of its poses, from the first."""
-        count = max(1, round(share * len(self.poses.time)))
-        return replace(self, poses=self.poses.rows(np.arange(count)))
+        """Return the run with the poses of a share of it, from the first.
+
+        As many as are fitted of the whole, if they were measured so often: fast vibrations of the
+        cables are followed from their beginning.
+        """
+        time = self.poses.time
+        rows = np.flatnonzero(time <= time[0] + share * (time[-1] - time[0]))
+        return replace(self, poses=self.poses.rows(rows).thinned(self.rate / share))

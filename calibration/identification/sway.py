@@ -35,7 +35,8 @@ from carosac_toolkit.validation.phases import anchors_at
 
 REST_DISPLACEMENT_SIGMA = Scaled(0.01, "m", least=1e-3)  # of a platform that seems to rest
 MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that moves
-STRETCH_SIGMA_SHARE = 0.5  # of the elongation at rest: prior sigma of a further one, in motion
+SLIDING_SIGMA_SHARE = 2.0  # of the speed: prior sigma of what it may have been shortly before
+STRETCH_SIGMA_SHARE = 2.0  # of the elongation at rest: prior sigma of a further one, in motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,8 +44,8 @@ class FreeSway:
     """Free directions of a platform at rest, m = 6 - n of them, none with six cables or more.
 
     The coordinates of a start are m displacements from the equilibrium and m speeds, and of a
-    platform that moves the elongations of its n cables beyond those at rest, and their rates; each
-    over its prior sigma. Their prior mean is 0.
+    platform that moves the elongations of its n cables beyond those at rest, their rates, and by
+    how much the m speeds were others before; each over its prior sigma. Their prior mean is 0.
 
     Attributes:
         shape: Columns are twists (linear first, in W, at the origin) that move the fastest anchor
@@ -53,13 +54,16 @@ class FreeSway:
         sigma: Prior sigma of the displacements [m], then of the speeds [m/s], shape (2 m,).
         stretch_sigma: Prior sigma of the elongations [m], then of their rates [m/s], shape (2 n,);
             (0,) for a platform that seems to rest.
-        guess: Coordinates from which a search begins, shape (2 m + 2 n,) or (2 m,).
+        sliding_sigma: Prior sigma of the speeds before less those of the start [m/s], shape (m,);
+            (0,) for a platform that seems to rest.
+        guess: Coordinates from which a search begins, shape (3 m + 2 n,) or (2 m,).
     """
 
     shape: Array
     frequency: Array
     sigma: Array
     stretch_sigma: Array
+    sliding_sigma: Array
     guess: Array
 
     @property
@@ -70,6 +74,7 @@ class FreeSway:
             "speed": len(self.sigma) // 2,
             "elongation": len(self.stretch_sigma) // 2,
             "elongation_rate": len(self.stretch_sigma) // 2,
+            "sliding": len(self.sliding_sigma),
         }
         return tuple(f"start.{word}[{i}]" for word, count in words.items() for i in range(count))
 
@@ -82,8 +87,16 @@ class FreeSway:
         """Return elongations [m] of cables and their rates [m/s], each (n,), or (1,) zero."""
         if not len(self.stretch_sigma):
             return np.zeros(1), np.zeros(1)
-        parts = np.split(self.stretch_sigma * coordinates[len(self.sigma) :], 2)
+        first, stop = len(self.sigma), len(self.sigma) + len(self.stretch_sigma)
+        parts = np.split(self.stretch_sigma * coordinates[first:stop], 2)
         return parts[0], parts[1]
+
+    def sliding(self, coordinates: Array) -> Array:
+        """Return speeds before [m/s] along the free directions, shape (m,)."""
+        speed = self.values(coordinates)[1]
+        if not len(self.sliding_sigma):
+            return speed
+        return speed + self.sliding_sigma * coordinates[-len(self.sliding_sigma) :]
 
 
 def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: bool) -> FreeSway:
@@ -109,7 +122,7 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
     frequency = np.sqrt(np.abs(squared))
     floor = np.full(len(frequency), REST_DISPLACEMENT_SIGMA.of(Scales(robot).ratios))
     sigma = np.concatenate([floor, frequency * floor])
-    guess, stretch_sigma = np.zeros(len(sigma)), np.zeros(0)
+    guess, stretch_sigma, sliding_sigma = np.zeros(len(sigma)), np.zeros(0), np.zeros(0)
     if moves and len(frequency):
         first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
         guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
@@ -117,12 +130,14 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
         sigma = np.concatenate([reach, frequency * reach])
         stretch_sigma = _stretch_sigma(robot, rest)
+        sliding_sigma = SLIDING_SIGMA_SHARE * frequency * swing.max()
     return FreeSway(
         shape=shape,
         frequency=frequency,
         sigma=sigma,
         stretch_sigma=stretch_sigma,
-        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma))]),
+        sliding_sigma=sliding_sigma,
+        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma) + len(sliding_sigma))]),
     )
 
 
@@ -133,7 +148,7 @@ def swaying_states(
     length: Array,
     rate: Array,
     coordinates: Sequence[Array],
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Return where B robots start.
 
     Displaced platforms are moved on to where their straight cables are as long as at rest, or by
@@ -148,11 +163,15 @@ def swaying_states(
         coordinates: Of each robot, as its sway has them.
 
     Returns:
-        Positions (B, 3) [m], rotations (B, 3, 3), and twists (B, 6) of the origins in W.
+        Positions (B, 3) [m], rotations (B, 3, 3), twists (B, 6) of the origins in W, and those of
+        before, shape (B, 6).
     """
     values = [sway.values(each) for sway, each in zip(sways, coordinates, strict=True)]
     move = np.array([sway.shape @ value[0] for sway, value in zip(sways, values, strict=True)])
     free = np.array([sway.shape @ value[1] for sway, value in zip(sways, values, strict=True)])
+    before = np.array([
+        sway.shape @ sway.sliding(each) for sway, each in zip(sways, coordinates, strict=True)
+    ])  # fmt: skip
     position, rotation = moved_poses(rest.position, rest.rotation, move)
     longer, faster = (
         np.array([
@@ -161,7 +180,7 @@ def swaying_states(
         ])
         for k in range(2)
     )  # fmt: skip
-    twist = np.empty_like(free)
+    twist, sliding = np.empty_like(free), np.empty_like(free)
     rows: dict[int, list[int]] = {}  # of each robot: its worlds are one batch
     for b, robot in enumerate(robots):
         rows.setdefault(id(robot), []).append(b)
@@ -174,7 +193,10 @@ def swaying_states(
             robot, position[own], rotation[own], length[own], rate[own] + faster[own],
             free[own],
         )  # fmt: skip
-    return position, rotation, twist
+        sliding[own] = twists_on_rates(
+            robot, position[own], rotation[own], length[own], rate[own], before[own]
+        )
+    return position, rotation, twist, sliding
 
 
 def _stretch_sigma(robot: Robot, rest: Equilibrium) -> Array:

@@ -42,6 +42,7 @@ class Placement:
         tension: At the platform [N], shape (K, n).
         exit_tension: Tension vector at the exit [N], shape (K, n, 3).
         at_rest: True if these are equilibria.
+        sliding: Twist along which platforms moved last, shape (K, 6); None: that of the start.
     """
 
     position: Array
@@ -50,6 +51,7 @@ class Placement:
     tension: Array
     exit_tension: Array
     at_rest: bool
+    sliding: Array | None = None
 
     @classmethod
     def of(cls, rest: Equilibrium, rows: NDArray[np.bool_] | None = None) -> Placement:
@@ -103,6 +105,7 @@ def place_worlds(
         wp.array(start.position, dtype=wp.vec3d, device=device),
         wp.array(start.rotation, dtype=wp.mat33d, device=device),
         wp.array(twist, dtype=vec6d, device=device),
+        wp.array(twist if start.sliding is None else start.sliding, dtype=vec6d, device=device),
         wp.array(start.unstrained_length, dtype=wp.float64, device=device),
         wp.array(start.tension, dtype=wp.float64, device=device),
     ]  # fmt: skip

@@ -369,7 +369,7 @@ def release(
         winch.rate = freed.rate[b, i]
         winch.wound_rate = freed.rate[b, i]
         worlds.winch[b, i] = winch
-        start_anchor(plants, worlds, b, row, i)
+        start_anchor(plants, worlds, b, row, i, start)
         if freed.bent[b] == 1:
             worlds.bristles[b, i] = freed.bristles[b, i]
     scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)

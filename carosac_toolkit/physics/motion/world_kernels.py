@@ -200,18 +200,27 @@ def publish(plants: Plants, worlds: Worlds, b: int, row: int, lane: int, lanes: 
 
 
 @wp.func
-def start_anchor(plants: Plants, worlds: Worlds, b: int, row: int, i: int):
-    """Store what a cable needs of its anchor point where a motion without a past begins."""
+def start_anchor(plants: Plants, worlds: Worlds, b: int, row: int, i: int, sliding: BodyMotion):
+    """Store what a cable needs of its anchor point where a motion without a past begins.
+
+    Args:
+        plants: Robots.
+        worlds: Worlds.
+        b: World.
+        row: Of its robot.
+        i: Cable.
+        sliding: The motion there, but with the velocities of what rubs before.
+    """
     cable = plants.cables[row, i]
     body = plants.bodies[row]
     motion = worlds.motion[b]
-    omega = motion.angular_velocity
     arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
-    velocity = motion.velocity + wp.cross(omega, arm)
-    worlds.anchor_velocity[b, i] = velocity
+    worlds.anchor_velocity[b, i] = motion.velocity + wp.cross(motion.angular_velocity, arm)
     worlds.anchor_rate[b, i] = wp.vec3d()
     if rubs(cable):
         time = SLIDING_TIME * wp.sqrt(body.size / body.gravity)
+        omega = sliding.angular_velocity
+        velocity = sliding.velocity + wp.cross(omega, arm)
         worlds.bristles[b, i] = slid_bristles(
             cable, motion.center + arm, velocity, omega, body.size, time
         )
@@ -220,9 +229,13 @@ def start_anchor(plants: Plants, worlds: Worlds, b: int, row: int, i: int):
 @wp.kernel
 def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
           position: wp.array(dtype=wp.vec3d), rotation: wp.array(dtype=wp.mat33d),
-          twist: wp.array(dtype=vec6d), unstrained_length: wp.array2d(dtype=wp.float64),
+          twist: wp.array(dtype=vec6d), sliding: wp.array(dtype=vec6d),
+          unstrained_length: wp.array2d(dtype=wp.float64),
           tension: wp.array2d(dtype=wp.float64)):  # fmt: skip
-    """Put some worlds where they shall start, winches at rest; one thread a row of `which`."""
+    """Put some worlds where they shall start, winches at rest; one thread a row of `which`.
+
+    What rubs has been sliding with the twist `sliding`.
+    """
     k = wp.tid()
     b = which[k]
     row = wp.min(b, plants.bodies.shape[0] - 1)
@@ -230,6 +243,9 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     v = wp.vec3d(twist[k][0], twist[k][1], twist[k][2])
     w = wp.vec3d(twist[k][3], twist[k][4], twist[k][5])
     motion = at_rest(body, position[k], rotation[k], v, w)
+    v = wp.vec3d(sliding[k][0], sliding[k][1], sliding[k][2])
+    w = wp.vec3d(sliding[k][3], sliding[k][4], sliding[k][5])
+    before = at_rest(body, position[k], rotation[k], v, w)
     worlds.motion[b] = motion
     worlds.gusts[b] = Gusts()
     worlds.time[b] = wp.float64(0.0)
@@ -241,6 +257,6 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     worlds.residual[b] = wp.float64(0.0)
     for i in range(worlds.winch.shape[1]):
         worlds.winch[b, i] = resting(unstrained_length[k, i])
-        start_anchor(plants, worlds, b, row, i)
+        start_anchor(plants, worlds, b, row, i, before)
         worlds.tension[b, i] = tension[k, i]
     publish(plants, worlds, b, row, 0, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.identification.error_noise import SIGMA_MIN, estimate_noise
+from calibration.identification.error_noise import RUNS_APART_MIN, SIGMA_MIN, estimate_noise
 
 
 def autoregressive(rho: float, count: int, seed: int) -> np.ndarray:
@@ -29,6 +29,20 @@ def test_errors_that_last_count_no_more_often_than_bartlett_says():
     expected = (1.0 + rho**2) / (1.0 - rho**2)  # 1 + 2 (rho^2 + rho^4 + ...)
     assert (noise.repeats > 0.9 * expected).all()
     assert (noise.repeats < 2.5 * expected).all()  # chance correlations count as well
+
+
+def test_errors_of_many_recordings_all_count_and_alike_on_all_axes():
+    """An axis that is off all the time is what a search has yet to explain, not noise."""
+    rng = np.random.default_rng(5)
+    runs = [0.01 * rng.standard_normal((100, 6)) for _ in range(RUNS_APART_MIN)]
+    for run in runs:
+        run[:, 0] += 0.1
+    noise = estimate_noise(runs)
+    assert noise.repeats == pytest.approx(np.ones(6))
+    assert np.ptp(noise.sigma[:3]) == 0.0 and np.ptp(noise.sigma[3:]) == 0.0
+    assert noise.sigma[3] == pytest.approx(0.01, rel=0.1)
+    few = estimate_noise(runs[:2])
+    assert few.repeats[0] > 10.0 and few.sigma[0] > 5.0 * few.sigma[1]
 
 
 def test_no_simulation_is_better_than_its_floor():

@@ -30,7 +30,7 @@ def at_home(robot):
 
 
 def start(sway, robot, rest, rate, coordinates):
-    """Return position, rotation and twist of one robot that starts."""
+    """Return position, rotation and twist of one robot that starts, and its twist before."""
     pose = Pose(position=rest.position, rotation=rest.rotation)
     states = swaying_states(
         [sway], [robot], pose, rest.unstrained_length, rate[None], coordinates[None]
@@ -62,7 +62,7 @@ def test_a_large_displacement_keeps_the_straight_lengths_and_the_twist_follows_t
     sway = at_rest(robot, rest)
     coordinates = 0.1 * np.sign(np.sin(np.arange(1, 1 + len(sway.sigma)))) / sway.sigma
     rate = np.linspace(-0.2, 0.3, robot.n)
-    position, rotation, twist = start(sway, robot, rest, rate, coordinates)
+    position, rotation, twist, _ = start(sway, robot, rest, rate, coordinates)
     tilt = Rotation.from_matrix(rotation @ rest.rotation[0].T).magnitude()
     assert tilt > np.radians(5.0)
     straight = straight_length(robot, position[None], rotation[None]).length
@@ -79,7 +79,7 @@ def test_eight_cables_leave_nothing_free_and_move_with_their_winches():
     assert sway.guess.shape == (0,) and sway.names == ()
     motion = np.array([0.2, -0.1, 0.3, 0.1, 0.2, -0.1])
     rate = -structure_matrix(robot, rest.position, rest.rotation)[0].T @ motion
-    position, rotation, twist = start(sway, robot, rest, rate, np.zeros(0))
+    position, rotation, twist, _ = start(sway, robot, rest, rate, np.zeros(0))
     assert position == pytest.approx(rest.position[0]) and rotation == pytest.approx(
         rest.rotation[0]
     )
@@ -100,11 +100,38 @@ def test_the_guess_is_the_first_measured_pose_and_speed(robot):
     assert found[2][:3] == pytest.approx(speed[0], abs=0.05 * np.abs(speed).max() + 0.02)
 
 
+@EACH
+def test_a_start_in_motion_stretches_cables_and_remembers_another_speed(robot):
+    """Elongations are lengths of straight cables, their rates those of a platform that moves."""
+    recording, _ = free_oscillation(robot, 1, swing=0.2, duration=2.0)
+    rest = at_home(robot)
+    sway = find_sway(robot, rest, poses_of(recording), moves=True)
+    free, n = 6 - robot.n, robot.n
+    assert len(sway.names) == len(sway.guess) == 3 * free + 2 * n
+    rng = np.random.default_rng(2)
+    coordinates = sway.guess + np.concatenate([
+        np.zeros(2 * free), 0.3 * rng.standard_normal(2 * n), rng.standard_normal(free)
+    ])  # fmt: skip
+    longer, faster = sway.elongations(coordinates)
+    position, rotation, twist, before = start(sway, robot, rest, np.zeros(n), coordinates)
+    pose = position[None], rotation[None]
+    straight = straight_length(robot, *pose).length - straight_length(
+        robot, rest.position, rest.rotation
+    ).length
+    assert straight[0] == pytest.approx(longer, abs=1e-9)
+    jacobian = -structure_matrix(robot, *pose)[0].T
+    assert jacobian @ twist == pytest.approx(faster, abs=1e-9)
+    assert jacobian @ before == pytest.approx(np.zeros(n), abs=1e-9)
+    same = start(sway, robot, rest, np.zeros(n), np.append(coordinates[:-free], np.zeros(free)))
+    assert np.linalg.norm(before - same[3]) > 0.1 * np.linalg.norm(same[3])
+    assert same[2] == pytest.approx(twist)  # only what rubs remembers it
+
+
 def test_what_is_left_for_the_robot_is_the_information_behind_its_covariance():
     """Schur complement: its inverse, with the prior, is the block of the joint inverse."""
     robot = ROBOTS["carosac"]
     unknowns = choose_coordinates(robot, IdentificationSettings())
-    run = FittedRun(path=None, poses=None, sway=at_rest(robot, at_home(robot)))
+    run = FittedRun(path=None, poses=None, rate=10.0, sway=at_rest(robot, at_home(robot)))
     fitter = Fitter(unknowns, [run], IdentificationSettings(time_step=0.01))
     count = len(unknowns.prior.names)
     root = np.random.default_rng(0).standard_normal((count + 4, count + 4))

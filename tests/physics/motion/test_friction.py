@@ -70,6 +70,26 @@ def test_a_pendulum_loses_the_dry_moment_times_its_way(cables, where):
     assert np.abs(rotation - np.eye(3)).max() < 2e-3
 
 
+@pytest.mark.parametrize("cables", ["catenary", "particles"])
+def test_what_was_bent_before_pushes_back_a_platform_that_starts_at_rest(cables):
+    moment, duration = 0.4, 0.02
+    robot = pendulum(anchor_friction=moment)
+    rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    speeds = []
+    for last in ([200.0, 0, 0, 0, 0, 0], [0.0, -200.0, 0, 0, 0, 0], [0.0] * 6):
+        simulator = Simulator(robot, cables=cables, time_step=0.002)
+        simulator.reset(
+            unstrained_length=rest.unstrained_length, twist=np.zeros((1, 6)),
+            sliding=np.array([last]),
+        )  # fmt: skip
+        simulator.follow(rest.unstrained_length, duration)
+        speeds.append(simulator.state.numpy().twist[0, :2])
+    gained = 4.0 * moment / LENGTH / robot.mass * duration  # as all bristles slide at first
+    assert speeds[0] == pytest.approx([-gained, 0.0], abs=0.05 * gained)
+    assert speeds[1] == pytest.approx([0.0, gained], abs=0.05 * gained)
+    assert speeds[2] == pytest.approx([0.0, 0.0], abs=1e-3 * gained)
+
+
 def test_without_friction_nothing_is_lost():
     angle = turning_angles(swing(pendulum(), [0.9, 0, 0, 0, 0, 0], 14.0)[0])
     assert angle == pytest.approx(angle[0], rel=1e-3)
