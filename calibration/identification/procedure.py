@@ -52,6 +52,7 @@ Range = tuple[int, int]
 # Mean of the error of orientation, above which the tracked body is turned on the platform.
 BODY_TURN_MIN_RAD = 0.035
 BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
+MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
 START_DISTANCE_MAX = Scaled(0.5, "m")
 # A platform that moves by less does not show its dynamics; sensors do not shrink with it.
@@ -237,23 +238,32 @@ def _identify(
 def _model_error(
     identified: Robot, runs: Sequence[_Run], errors: Sequence[Array]
 ) -> JudgedError | None:
-    """Return what the identified robot misses; None where no estimator can follow the runs."""
+    """Return what the identified robot misses; None where no estimator can follow the runs.
+
+    Of many recordings some tell it as well as all.
+    """
+    residuals: dict[int, Residuals] = {}
+    chosen = {which: _some(runs, which) for which in ("train", "test")}
     try:
-        residuals = [
-            Residuals.of(identified, run.part.recording, run.poses.time, each, run.poses.rotation)
-            for run, each in zip(runs, errors, strict=True)
-        ]
+        for r in sorted({*chosen["train"], *chosen["test"]}):
+            run = runs[r]
+            residuals[r] = Residuals.of(
+                identified, run.part.recording, run.poses.time, errors[r], run.poses.rotation
+            )
     except CarosacError:
         return None
     trained, kept = (
-        [
-            each.rows(_rows(run.poses, *span))
-            for run, each in zip(runs, residuals, strict=True)
-            if (span := getattr(run.part, name)) is not None
-        ]
-        for name in ("train", "test")
+        [residuals[r].rows(_rows_of(runs[r], which)) for r in rows]
+        for which, rows in chosen.items()
     )
     return judge_model_error(trained, kept)
+
+
+def _some(runs: Sequence[_Run], which: str) -> list[int]:
+    """Return places of recordings with samples to be fitted or scored only, some of many."""
+    rows = [r for r, run in enumerate(runs) if _span(run, which) is not None]
+    picked = np.linspace(0, len(rows) - 1, min(len(rows), MODEL_ERROR_RUNS_MAX))
+    return [rows[int(k)] for k in np.unique(picked.round())]
 
 
 def _prepared(
