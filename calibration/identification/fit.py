@@ -59,7 +59,7 @@ class CoordinateFit:
         starts: Coordinates of the sway at the start of each run, shape (2 m,).
         excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
-        converged: True if the last step was small.
+        converged: True if the last step promised little, or brought little.
     """
 
     coordinates: Array
@@ -182,7 +182,8 @@ class Fitter:
             settled = self._promise(at, hessian, gradient) <= least
             if not settled:
                 step = self._search(at, hessian, gradient, errors, noise, damping)
-                stuck = step.decrease <= (least if coarse else 0.0)
+                stuck = step.decrease <= least
+                settled = not coarse and 0.0 < step.decrease <= least
                 at, errors, damping = step.at, step.errors, step.damping
             if settled or stuck:
                 if steps is not None or not coarse:
@@ -454,7 +455,7 @@ class _Search:
         errors: Of each run, shape (K, 6).
         jacobians: Of each run, where the last step began, shape (K, 6, p).
         count: Steps.
-        settled: True if the last one promised little.
+        settled: True if the last one promised little, or brought little by exact derivatives.
     """
 
     at: Array
