@@ -111,8 +111,9 @@ class _Batch:
     def __init__(self, problem: MotorAngleProblem, rows: NDArray[np.intp]) -> None:
         """Set up with some of the samples."""
         self.rows, self._problem = rows, problem
-        self._by_shared = problem.wound_slope(rows)
-        self._wound = problem.wound(np.zeros(problem.size), rows)
+        mean = problem.prior.mean
+        self._by_shared = problem.wound_slope(mean, rows)
+        self._wound = problem.wound(mean, rows) - self._by_shared @ mean
         self._axes = problem.known_axes[rows]
         self._hold = self._axes / problem.known_sigma[rows] ** 2
         self._place = np.where(

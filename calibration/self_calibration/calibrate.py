@@ -21,6 +21,7 @@ from calibration.self_calibration.verdict import (
     better_rival,
     check_determined,
     check_reference,
+    check_rotation,
     find_rivals,
     warnings_of,
 )
@@ -56,6 +57,7 @@ def calibrate_motor_angles(
     settings = settings or SelfCalibrationSettings()
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)
+    check_rotation(problem)
     first = starts(problem)
     everything = np.ones(len(angles.samples), dtype=np.bool_)
     line = settings.line_sigma or LINE_SIGMA_START_M
@@ -176,24 +178,32 @@ def _parameters(
     radius, slope = problem.drum_radius(shared)
     exits = np.eye(problem.size)[problem.exits.ravel()]
     buildup = np.eye(problem.size)[problem.buildups]
-    to_robot = np.vstack([exits, slope, buildup])
+    soft = np.eye(problem.size)[problem.compliances]
+    stiffness = robot.axial_stiffness[: len(soft)]
+    after = stiffness / (1.0 + shared[problem.compliances])
+    stiff = [-(value**2 / stiffness)[:, None] * soft for value in (after, stiffness)]
+    to_robot = np.vstack([exits, slope, buildup, stiff[0]])
     prior = problem.prior.covariance
-    from_before = np.vstack([exits, slope_before, buildup])
+    from_before = np.vstack([exits, slope_before, buildup, stiff[1]])
     names = (
         *problem.prior.names[: problem.exits.size],
         *(f"drum_radius[{cable}]" for cable in robot.cable_names),
         *(f"drum_buildup[{cable}]" for cable in robot.cable_names),
+        *(f"axial_stiffness[{cable}]" for cable in robot.cable_names[: len(soft)]),
     )
     covariance = to_robot @ shared_covariance @ to_robot.T
     return ParameterEstimate(
         names=names,
-        value=np.concatenate([shared[problem.exits].ravel(), radius, shared[problem.buildups]]),
+        value=np.concatenate(
+            [shared[problem.exits].ravel(), radius, shared[problem.buildups], after]
+        ),
         covariance=0.5 * (covariance + covariance.T),
         start=np.concatenate(
             [
                 problem.prior.mean[problem.exits].ravel(),
                 before,
                 problem.prior.mean[problem.buildups],
+                stiffness,
             ]
         ),
         prior_sigma=np.sqrt(np.diag(from_before @ prior @ from_before.T)),

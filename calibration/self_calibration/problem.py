@@ -6,8 +6,12 @@ The drum of cable i pays out, since the reference at which its motor angle is 0,
 
 .. math:: L_i(\varphi) = L_{0,i} + (r_i \varphi - b_i \varphi^2 / 4) / \alpha_i,
 
-and a straight stiff cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped
-arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
+and a straight cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped arc
+where there is a pulley). Where the tension f is measured, line and run length R stretch by it,
+
+.. math:: L^s_i = L_i + (L_i + R_i) f_i / EA_i;
+
+otherwise cables are stiff. The residual is :math:`L^s_i(\varphi) - \ell_i(p)`.
 """
 
 from __future__ import annotations
@@ -55,7 +59,8 @@ class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
-    for each group of alike drums, and the lengths at the reference (n).
+    for each group of alike drums, the lengths at the reference (n), and, where tensions are
+    measured, the error of the compliance 1 / EA of each group of alike cables, as a share of it.
 
     Attributes:
         prior: Of the shared unknowns, m of them.
@@ -63,6 +68,7 @@ class MotorAngleProblem:
         radii: Place of each cable's radius error, shape (n,).
         buildups: Place of its build-up, shape (n,).
         zeros: Place of its length at the reference, shape (n,).
+        compliances: Place of the error of its compliance, shape (n,); empty without tensions.
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
         known_axes: True for each coordinate that is known, shape (N, 3). Where no sample has some
@@ -93,13 +99,15 @@ class MotorAngleProblem:
         self.advantage = drums.advantage
         home = straight_length(robot, robot.home_position[None]).length[0]
         zero = home if settings.length_at_zero is None else settings.length_at_zero
-        length = frozen_array("length_at_zero", zero, (robot.n,))
+        length = self._at_rest(frozen_array("length_at_zero", zero, (robot.n,)))
         turned = drums.motor_angle(length) / drums.gear
         self.radius = drums.radius - 0.5 * drums.buildup * turned
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
         self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        mean = [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
+        soft = np.zeros(len(set(self.compliances.tolist())))
+        buildups = np.array(self._buildups)
+        mean = [robot.exit_points.ravel(), np.zeros(self._groups), buildups, length, soft]
         self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
@@ -112,7 +120,12 @@ class MotorAngleProblem:
         self._ends = [
             tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
         ]
-        turned = self.wound(self.prior.mean) - length
+        wound = self._unstrained(self.prior.mean, slice(None))
+        self._friction_noise = (
+            settings.friction_share / np.sqrt(3.0) * self.advantage
+            * self._strain(self.prior.mean, slice(None)) * (wound + robot.run_length)
+        )  # fmt: skip
+        turned = wound - length
         self.reference = tied_to_home(angles, robot, self.prior, turned)
         self.known_axes = angles.coordinates_known.copy()
         self.known_position = angles.known_position.copy()
@@ -155,6 +168,10 @@ class MotorAngleProblem:
         new = shared.copy()
         new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
         return new
+
+    def line_noise(self, line_sigma: float) -> Array:
+        """Return one standard deviation of the line by noise and friction [m], shape (N, n)."""
+        return np.asarray(np.hypot(line_sigma, self._friction_noise))
 
     def before(self, shared: Array) -> Before:
         """Return what priors and measured distances say of the shared unknowns."""
@@ -207,7 +224,7 @@ class MotorAngleProblem:
             rows: Chosen samples.
         """
         straight, direction = self.straight(shared, position)
-        by_shared = self.wound_slope(rows)
+        by_shared = self.wound_slope(shared, rows)
         for i in range(self.robot.n):
             by_shared[:, i, self.exits[i]] = direction[:, i]
         return LinearSamples(
@@ -229,7 +246,12 @@ class MotorAngleProblem:
         return empty_radius, slope
 
     def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
-        """Return the lengths of the cables by their drums [m], shape (N, n)."""
+        """Return the lengths of the cables by their drums, stretched [m], shape (N, n)."""
+        length, strain = self._unstrained(shared, rows), self._strain(shared, rows)
+        return length + (length + self.robot.run_length) * strain
+
+    def _unstrained(self, shared: Array, rows: Rows) -> Array:
+        """Return the unstrained lengths of the cables by their drums [m], shape (N, n)."""
         drums = replace(
             self._drums,
             radius=self.radius + shared[self.radii],
@@ -238,8 +260,15 @@ class MotorAngleProblem:
         )
         return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
 
-    def wound_slope(self, rows: Rows = slice(None)) -> Array:
-        """Return the derivative of `wound`, in which it is linear, shape (N, n, m)."""
+    def _strain(self, shared: Array, rows: Rows) -> Array:
+        """Return the strains of the cables, shape (N, n); 0 where tensions are unknown."""
+        if self.angles.tension is None:
+            return np.zeros_like(self._drum_angle[rows])
+        tension = self.angles.tension[rows]
+        return np.asarray(tension * (1.0 + shared[self.compliances]) / self.robot.axial_stiffness)
+
+    def wound_slope(self, shared: Array, rows: Rows = slice(None)) -> Array:
+        """Return the derivative of `wound`, shape (N, n, m); without tensions it is linear."""
         angle = self._drum_angle[rows]
         count, n = angle.shape
         slope = np.zeros((count, n, self.size))
@@ -247,6 +276,12 @@ class MotorAngleProblem:
             slope[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
             slope[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
             slope[:, i, self.zeros[i]] = 1.0
+        if self.angles.tension is not None:
+            slope *= (1.0 + self._strain(shared, rows))[:, :, None]
+            soft = self.angles.tension[rows] / self.robot.axial_stiffness
+            soft = soft * (self._unstrained(shared, rows) + self.robot.run_length)
+            for i in range(n):
+                slope[:, i, self.compliances[i]] = soft[:, i]
         return slope
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
@@ -262,6 +297,14 @@ class MotorAngleProblem:
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
         return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
+
+    def _at_rest(self, length: Array) -> Array:
+        """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""
+        if self.angles.tension is None:
+            return length
+        row = int(np.argmin(np.abs(self.angles.motor_angle).max(axis=1)))
+        strain = self.angles.tension[row] / self.robot.axial_stiffness
+        return np.asarray((length - self.robot.run_length * strain) / (1.0 + strain))
 
     def _makes(self) -> list[tuple[float, ...]]:
         """Return what drums of one make have in common."""
@@ -279,12 +322,18 @@ class MotorAngleProblem:
         self.radii = 3 * n + np.array(group)
         self.buildups = 3 * n + self._groups + np.array(of_buildup)
         self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
+        kinds = sorted(set(self.robot.axial_stiffness.tolist()))
+        of_kind = [kinds.index(value) for value in self.robot.axial_stiffness.tolist()]
+        self.compliances = int(self.zeros[-1]) + 1 + np.array(of_kind)
+        if self.angles.tension is None:
+            kinds, self.compliances = [], np.zeros(0, dtype=np.int_)
         self._names = (
             *point_names("exit_points", cables),
             *(f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)),
             *(f"drum_buildup[{_joined(cables, of_buildup, g)}]"
               for g in range(len(self._buildups))),
             *(f"length_at_zero[{cable}]" for cable in cables),
+            *(f"compliance[{_joined(cables, of_kind, g)}]" for g in range(len(kinds))),
         )  # fmt: skip
 
     def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
@@ -294,6 +343,7 @@ class MotorAngleProblem:
         sigma[: len(exits)] = settings.exit_sigma
         sigma[self.radii] = settings.drum_radius_sigma
         sigma[self.buildups] = settings.drum_buildup_share * np.maximum(mean[self.buildups], 1e-9)
+        sigma[self.compliances] = settings.stiffness_share
         covariance = np.diag(sigma**2)
         block = slice(0, len(exits))
         covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])

@@ -60,7 +60,9 @@ def whiten(
     problem: MotorAngleProblem, shared: Array, position: Array, line_sigma: float
 ) -> LinearSamples:
     """Linearise all samples, with residuals in standard deviations of the line."""
-    return problem.linearize(shared, position).scaled(problem.advantage / line_sigma)
+    return problem.linearize(shared, position).scaled(
+        problem.advantage / problem.line_noise(line_sigma)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,6 +21,7 @@ RIVAL_COST_MAX = 13.8  # squared standard deviations: another solution that is l
 RIVAL_STEPS_MAX = 30
 MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that well
 OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
+POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
@@ -49,6 +50,32 @@ class Rival:
     def as_good(self) -> bool:
         """Return whether the data and priors cannot tell it from the best one."""
         return self.cost < RIVAL_COST_MAX and not (self.mirrored and self.outside > OUTSIDE_SHARE)
+
+
+def check_rotation(problem: MotorAngleProblem) -> None:
+    """Refuse a platform whose rotation is unknown where lengths alone have to tell everything.
+
+    Raises:
+        Unobservable: With the reason.
+    """
+    offsets = problem.offsets
+    apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
+    held = problem.settings.keeps_rotation or places_known(problem)
+    if held or apart < POINT_LIKE_SHARE * problem.longest:
+        return
+    n = problem.robot.n
+    spare = (
+        f"lengths of {n} cables have nothing to spare for its rotation"
+        if n <= 6
+        else f"{n - 6} lengths to spare at each position are not used yet"
+    )
+    raise Unobservable(
+        f"the cables end up to {apart:.2g} m apart on the platform, which turns as it moves, and "
+        f"{spare}. Allowed: cables that end within {POINT_LIKE_SHARE * problem.longest:.2g} m of "
+        "each other; three known positions or more, not on one line; a recording of rests with an "
+        "AHRS, swivel angles or load cells; or a platform that is built to keep its rotation "
+        "(keeps_rotation in the settings, --keeps-rotation)"
+    )
 
 
 def find_rivals(

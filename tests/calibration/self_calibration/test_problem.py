@@ -29,22 +29,25 @@ def rotated_robot():
     )
 
 
-def rotated_problem():
-    robot = rotated_robot()
+def rotated_problem(soft=False):
+    robot = replace(rotated_robot(), axial_stiffness=np.repeat([2e4, 5e4], 4))
     rng = np.random.default_rng(3)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
     place[0] = robot.home_position
-    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng)
+    tension = rng.uniform(5.0, 50.0, (5, 8)) if soft else None
+    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng, tension=tension)
     return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
 
 
-def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation():
-    problem, place = rotated_problem()
+@pytest.mark.parametrize("soft", [False, True])
+def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation(soft):
+    problem, place = rotated_problem(soft)
     assert problem.linearize(problem.prior.mean, place).residual == pytest.approx(0.0, abs=1e-12)
 
 
-def test_derivatives_agree_with_finite_differences():
-    problem, place = rotated_problem()
+@pytest.mark.parametrize("soft", [False, True])
+def test_derivatives_agree_with_finite_differences(soft):
+    problem, place = rotated_problem(soft)
     rng = np.random.default_rng(4)
     shared = problem.prior.mean * (1.0 + 0.02 * rng.normal(size=problem.size))
     shared[problem.radii] += 1e-3

@@ -315,3 +315,51 @@ def test_a_hundred_samples_take_seconds():
     began = time.process_time()
     calibrate_motor_angles(angles, before)
     assert time.process_time() - began < 10.0
+
+
+def soft_scene(seed, *, stiffness=1.0, friction=0.0, count=50):
+    """Lines held by 5 to 60 N, as in torque mode, of a stiffness that is not what was thought."""
+    rng = np.random.default_rng(seed)
+    before, truth = robots(rng)
+    truth = replace(truth, axial_stiffness=stiffness * truth.axial_stiffness)
+    place = scene(seed, count)[2]
+    tension = rng.uniform(5.0, 60.0, (count, 4))
+    noise = MeasurementNoise(line=2e-4, friction=friction)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, tension=tension)
+    return before, truth, angles
+
+
+def test_measured_tensions_take_the_stretch_out():
+    before, truth, angles = soft_scene(1, stiffness=0.7)
+    tape = SelfCalibrationSettings(distances=(replace(TAPE, sigma=1e-4),))
+    result = calibrate_motor_angles(angles, before, tape)
+    blind = calibrate_motor_angles(replace(angles, tension=None), before, tape)
+    assert result.line_sigma < 0.5 * blind.line_sigma
+    rows = [result.estimate.index(f"axial_stiffness[{cable}]") for cable in "abcd"]
+    found = result.estimate.value[rows] / truth.axial_stiffness
+    assert found == pytest.approx(1.0, abs=0.1)
+    assert "stretch by the measured tensions" in " ".join(result.sentences())
+    assert result.robot.axial_stiffness == pytest.approx(result.estimate.value[rows])
+
+
+def test_friction_in_the_tensions_is_noise_that_is_known():
+    squares = []
+    for seed in range(300, 306):
+        before, truth, angles = soft_scene(seed, friction=0.1)
+        result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=2e-4))
+        squares.append(frame_nees(result, truth))
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_a_platform_that_turns_is_refused_with_what_helps():
+    before, _, _, angles = scene(19, 40, known=())
+    apart = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    wide = replace(before, anchor_points=apart)
+    with pytest.raises(
+        Unobservable, match="4 cables have nothing to spare for its rotation"
+    ) as one:
+        calibrate_motor_angles(angles, wide)
+    assert "AHRS, swivel angles or load cells" in str(one.value)
+    held = SelfCalibrationSettings(keeps_rotation=True)
+    assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
