@@ -1,0 +1,137 @@
+"""A simulated robot that differs from its file, as a new robot differs from a first guess."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
+from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.cable.drum import drums_of
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest import tension_distribution
+from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.robot.robot import Robot
+
+SIDEWAYS_SHARE = 0.08  # of the longest cable: 1 sigma per horizontal axis of an exit point
+HEIGHT_SHARE = 0.015  # of the longest cable: 1 sigma of the height, which a level floor tells
+DISTANCE_SIGMA_M = 0.02  # [m] of its distance from home, as measured by hand
+RADIUS_SHARE = 0.01  # of the drum radius
+BUILDUP_SHARE = 0.15  # of the build-up
+STIFFNESS_SHARE = 0.3  # of the stiffness of the cables
+MASS_SHARE = 0.02  # of the mass
+DRAWS_MAX = 1000
+PULL_TIME_S = 2.0  # [s] in which a person pulls the cables tight
+HUNG_WEIGHTS = 0.2  # of the weight: tension above its limit that every cable has at first
+
+
+def draw_true_robot(robot: Robot, rng: np.random.Generator) -> Robot:
+    """Draw a robot that a first guess may stand for, and whose cables can all be taut at home.
+
+    Exit points are at their distance from home, but in another direction; drums of one make are
+    wrong by the same.
+
+    Args:
+        robot: As in its file.
+        rng: Generator.
+
+    Raises:
+        InvalidField: Hardly any such robot has taut cables at home.
+    """
+    arm = robot.exit_points - robot.home_position
+    far, drums = np.linalg.norm(arm, axis=1), drums_of(robot)
+    spread = float(far.max()) * np.array([SIDEWAYS_SHARE, SIDEWAYS_SHARE, HEIGHT_SHARE])
+    for _ in range(DRAWS_MAX):
+        moved = arm + rng.normal(0.0, 1.0, arm.shape) * spread
+        length = far + rng.normal(0.0, DISTANCE_SIGMA_M, robot.n)
+        moved *= (length / np.linalg.norm(moved, axis=1))[:, None]
+        drawn = replace(
+            robot,
+            exit_points=robot.home_position + moved,
+            exit_covariance=None,
+            mass=robot.mass * (1.0 + MASS_SHARE * rng.normal()),
+            axial_stiffness=robot.axial_stiffness * np.exp(STIFFNESS_SHARE * rng.normal()),
+            drum_radius=drums.radius * (1.0 + RADIUS_SHARE * rng.normal()),
+            drum_buildup=drums.buildup * np.exp(BUILDUP_SHARE * rng.normal()),
+        )
+        if np.isfinite(taut_tensions(drawn, robot.home_position[None])).all():
+            return drawn
+    allowed = f"a robot whose cables are all taut at home; none of {DRAWS_MAX} like it are"
+    raise InvalidField("robot", robot.name, allowed)
+
+
+def taut_tensions(robot: Robot, position: Array) -> Array:
+    """Return tensions of a point-like platform that keep all cables taut [N], shape (B, n).
+
+    Where there are none, all are not a number.
+
+    Args:
+        robot: The true one.
+        position: Platform origin in W [m], shape (B, 3).
+    """
+    matrix = structure_matrix(robot, position)
+    matrix[:, 3:] = 0.0
+    weight = np.zeros((len(position), 6))
+    weight[:, 2] = -robot.weight
+    low = robot.tension_min + HUNG_WEIGHTS * robot.weight
+    high = 0.5 * (robot.tension_min + robot.tension_max)
+    found = tension_distribution.solve(matrix, weight, low, high, arm=1.0)
+    return np.where(found.feasible[:, None], found.tension, np.nan)
+
+
+class MisjudgedPlant:
+    """A plant whose drives wind by the drums of the robot file, which are not its own.
+
+    The cables are taut at the start: whoever hangs up a robot pulls them tight.
+
+    Attributes:
+        robot: As in its file: that is what drives and limits know.
+        size: 1.
+        inertial: That of the plant.
+        true_robot: The plant's.
+    """
+
+    def __init__(self, robot: Robot, true_robot: Robot) -> None:
+        """Take the robot of the file and the true one."""
+        self._plant: Plant = QuasiStaticPlant(true_robot)
+        self.robot, self.true_robot = robot, true_robot
+        self.size, self.inertial = self._plant.size, self._plant.inertial
+        self._assumed, self._drums = drums_of(robot), drums_of(true_robot)
+        home = straight_length(robot, robot.home_position[None]).length
+        self._shown = self._assumed.motor_angle(home)
+        self._turned: Array | None = None
+
+    def reset(self, position: Array) -> None:
+        """Rest at a position in W [m], shape (1, 3); at the first call the drives are homed."""
+        robot = self.true_robot
+        self._plant.reset(position)
+        straight = straight_length(robot, position).length
+        soft = (straight + robot.run_length) / robot.axial_stiffness
+        taut = straight - soft * taut_tensions(robot, position)
+        self._plant.advance(taut, PULL_TIME_S)
+        if self._turned is None:
+            self._turned = self._drums.motor_angle(self._plant.read_lengths())
+
+    def advance(self, command: Array, duration: float) -> None:
+        """Wind towards the lengths asked of the drives [m], (1, n), for a time [s]."""
+        assert self._turned is not None
+        turned = self._assumed.motor_angle(command) - self._shown + self._turned
+        self._plant.advance(self._drums.length(turned), duration)
+
+    def truth(self) -> State:
+        """Return the true state."""
+        return self._plant.truth()
+
+    def acceleration(self) -> Array:
+        """Return that of the plant."""
+        return self._plant.acceleration()
+
+    def read_lengths(self) -> Array:
+        """Return readings of perfect encoders by the drums of the robot file [m], shape (1, n)."""
+        assert self._turned is not None
+        turned = self._drums.motor_angle(self._plant.read_lengths())
+        return self._assumed.length(turned - self._turned + self._shown)
