@@ -26,7 +26,7 @@ STIFFNESS_SHARE = 0.3  # of the stiffness of the cables
 MASS_SHARE = 0.02  # of the mass
 DRAWS_MAX = 1000
 PULL_TIME_S = 2.0  # [s] in which a person pulls the cables tight
-HUNG_WEIGHTS = 0.2  # of the weight: tension above its limit that every cable has at first
+HUNG_WEIGHTS = 0.4  # of the weight: tension above its limit that every cable has at first
 
 
 def draw_true_robot(robot: Robot, rng: np.random.Generator) -> Robot:
@@ -97,7 +97,8 @@ class MisjudgedPlant:
 
     def __init__(self, robot: Robot, true_robot: Robot) -> None:
         """Take the robot of the file and the true one."""
-        self._plant: Plant = QuasiStaticPlant(true_robot)
+        loose = replace(true_robot, tension_min=np.zeros(true_robot.n))  # until it is pulled tight
+        self._plant: Plant = QuasiStaticPlant(loose)
         self.robot, self.true_robot = robot, true_robot
         self.size, self.inertial = self._plant.size, self._plant.inertial
         self._assumed, self._drums = drums_of(robot), drums_of(true_robot)

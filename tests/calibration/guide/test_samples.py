@@ -88,5 +88,5 @@ def test_other_files_are_refused(tmp_path, file):
     other.write_text(file.path.read_text().replace('"robot": "hangprinter"', '"robot": "mine"'))
     with pytest.raises(InvalidFile, match="samples of robot 'mine'; allowed: 'hangprinter'"):
         SampleFile(other, ROBOT)
-    with pytest.raises(InvalidField, match="SAMPLES: .* a file that can be written"):
+    with pytest.raises(InvalidField, match=r"SAMPLES: .* a file that can be written"):
         SampleFile(tmp_path / "none" / "samples.csv", ROBOT).start(rest())
