@@ -45,12 +45,12 @@ def holds_motor_angles(path: Path) -> bool:
 
 
 def load_motor_angles(path: str | Path) -> MotorAngles:
-    """Read motor angles and the few positions that are known.
+    """Read motor angles and the positions that are known, if any.
 
     Columns, in any order: ``sample`` (a name), one ``motor_NAME_deg`` or ``motor_angle_01_rad`` a
     motor (deg or rad, positive paying cable out), ``known_x_mm``, ``known_y_mm``, ``known_z_mm``
-    (or ``_m``), blank where the position is unknown, and ``known_sigma_x_mm`` and so on if they
-    differ from the settings. Lines that start with # are comments.
+    (or ``_m``), blank or missing where a coordinate is unknown, and ``known_sigma_x_mm`` and so on
+    if they differ from the settings. Lines that start with # are comments.
 
     Raises:
         MissingFile: There is no such file.
@@ -88,7 +88,8 @@ def write_motor_angles(angles: MotorAngles, path: Path) -> None:
     for k, name in enumerate(angles.samples):
         cells = [*angles.known_position[k]]
         cells += [] if angles.known_sigma is None else [*angles.known_sigma[k]]
-        words = [repr(float(value)) if angles.is_known[k] else "" for value in cells]
+        axes = [*angles.coordinates_known[k]] * 2
+        words = [repr(float(v)) if there else "" for v, there in zip(cells, axes, strict=False)]
         lines.append(",".join([name, *(repr(float(v)) for v in angles.motor_angle[k]), *words]))
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -134,11 +135,13 @@ class _AngleReader:
         names = [column.name for column in self._motors]
         for name in doubles(names):
             self.faults.append(f"motor {name}: two columns; allowed: one per motor")
-        for what, place in (("known", self._known), ("known_sigma", self._sigma)):
-            gone = [axis for axis in "xyz" if axis not in place]
-            if gone and (place or what == "known"):
-                columns = ", ".join(f"{what}_{axis}_mm" for axis in gone)
-                self.faults.append(f"column {columns}: missing; allowed: x, y and z")
+        alone = [axis for axis in self._sigma if axis not in self._known]
+        gone = [axis for axis in self._known if self._sigma and axis not in self._sigma]
+        for what, axes in (("known", alone), ("known_sigma", gone)):
+            if axes:
+                columns = ", ".join(f"{what}_{axis}_mm" for axis in axes)
+                allowed = "known and known_sigma of the same axes"
+                self.faults.append(f"column {columns}: missing; allowed: {allowed}")
 
     def read(self, lines: Sequence[tuple[int, list[str]]]) -> list[str]:
         """Read all samples; returns the faults, by line."""
@@ -174,26 +177,19 @@ class _AngleReader:
         return value
 
     def _place(self, cells: list[str], line: int, faults: list[str]) -> None:
-        """Read a known position, if there is one."""
-        columns = [self._known[axis] for axis in "xyz"]
-        filled = [bool(cells[column.index]) for column in columns]
+        """Read known coordinates, if there are any."""
         self._position.append([math.nan] * 3)
         self._spread.append([math.nan] * 3)
-        if not any(filled):
-            return
-        if not all(filled):
-            gone = [c.name for c, there in zip(columns, filled, strict=True) if not there]
-            faults.append(
-                f"line {line}: {', '.join(gone)}: blank; allowed: all three coordinates of a known "
-                "position, or none"
-            )
-            return
-        self._position[-1] = [self._number(c, cells, line, faults) for c in columns]
-        if self._sigma:
-            spread = [self._sigma[axis] for axis in "xyz"]
-            self._spread[-1] = [self._number(c, cells, line, faults) for c in spread]
-            if min(self._spread[-1]) <= 0.0:
-                faults.append(f"line {line}: {spread[0].name}: got <= 0; allowed: > 0")
+        for k, axis in enumerate("xyz"):
+            column = self._known.get(axis)
+            if column is None or not cells[column.index]:
+                continue
+            self._position[-1][k] = self._number(column, cells, line, faults)
+            if self._sigma:
+                spread = self._sigma[axis]
+                self._spread[-1][k] = self._number(spread, cells, line, faults)
+                if self._spread[-1][k] <= 0.0:
+                    faults.append(f"line {line}: {spread.name}: got <= 0; allowed: > 0")
 
     def result(self) -> MotorAngles:
         """Return the motor angles."""
@@ -204,6 +200,7 @@ class _AngleReader:
             cables=tuple(column.name for column in self._motors),
             motor_angle=np.array(self._angle),
             known_position=np.nan_to_num(position),
-            is_known=np.isfinite(position[:, 0]),
+            is_known=np.asarray(np.isfinite(position).any(axis=1)),
             known_sigma=np.nan_to_num(spread) if self._sigma else None,
+            known_axes=np.isfinite(position),
         )

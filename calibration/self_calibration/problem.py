@@ -13,7 +13,8 @@ arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from calibration.linear_samples import LinearSamples
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.reference import tied_to_home
+from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
@@ -30,11 +32,23 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
-LENGTH_AT_ZERO_SIGMA_M = 0.02  # as measured by hand
-DRUM_RADIUS_SIGMA_M = 2e-3  # alike drums are wrong by the same
-DRUM_BUILDUP_SIGMA_SHARE = 0.15  # of the build-up
 ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Before:
+    """What priors and measured distances say of the shared unknowns, at some values of them.
+
+    Attributes:
+        information: Shape (m, m).
+        gradient: Half the derivative of the cost, shape (m,).
+        cost: Sum of squares in standard deviations.
+    """
+
+    information: Array
+    gradient: Array
+    cost: float
 
 
 class MotorAngleProblem:
@@ -51,7 +65,12 @@ class MotorAngleProblem:
         zeros: Place of its length at the reference, shape (n,).
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
-        known_sigma: Of known positions [m], shape (N, 3).
+        known_axes: True for each coordinate that is known, shape (N, 3). Where no sample has some
+            coordinate known, that of the reference is taken to be home's: see `reference`.
+        known_position: Known coordinates [m], shape (N, 3).
+        known_sigma: Of known coordinates [m], shape (N, 3).
+        is_known: Samples with a known coordinate, shape (N,).
+        reference: Sample that is taken to be at home, and in which coordinates, or None.
     """
 
     def __init__(
@@ -65,10 +84,12 @@ class MotorAngleProblem:
             settings: Priors.
 
         Raises:
-            InvalidField: The robot file does not say how motor angle and length belong together.
+            InvalidField: The robot file does not say how motor angle and length belong together,
+                or a distance is between points that the robot lacks.
+            Unobservable: The origin cannot be put to home, as no sample was taken near there.
         """
         drums = drums_of(robot)
-        self.robot, self.angles = robot, angles
+        self.robot, self.angles, self.settings = robot, angles, settings
         self.advantage = drums.advantage
         home = straight_length(robot, robot.home_position[None]).length[0]
         zero = home if settings.length_at_zero is None else settings.length_at_zero
@@ -83,7 +104,24 @@ class MotorAngleProblem:
         spread = angles.known_sigma
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
-            self.known_sigma[angles.is_known] = spread[angles.is_known]
+            known = angles.coordinates_known
+            self.known_sigma[known] = spread[known]
+        if settings.x_through is not None and settings.x_through not in robot.cable_names:
+            allowed = f"one of {list(robot.cable_names)}"
+            raise InvalidField("x_through", repr(settings.x_through), allowed)
+        self._ends = [
+            tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
+        ]
+        turned = self.wound(self.prior.mean) - length
+        self.reference = tied_to_home(angles, robot, self.prior, turned)
+        self.known_axes = angles.coordinates_known.copy()
+        self.known_position = angles.known_position.copy()
+        if self.reference is not None:
+            row, axes, sigma = self.reference.row, self.reference.axes, self.reference.sigma
+            self.known_axes[row, axes] = True
+            self.known_position[row, axes] = robot.home_position[axes]
+            self.known_sigma[row, axes] = sigma
+        self.is_known: NDArray[np.bool_] = np.asarray(self.known_axes.any(axis=1))
 
     @property
     def size(self) -> int:
@@ -95,6 +133,71 @@ class MotorAngleProblem:
         """Longest cable at the reference, as known before [m]."""
         return float(self.prior.mean[self.zeros].max())
 
+    def turned(self, rotation: Array) -> MotorAngleProblem:
+        """Return the same with the exit points known before turned about home.
+
+        Args:
+            rotation: That leaves all known coordinates where they are, shape (3, 3).
+        """
+        turn = np.eye(self.size)
+        block = self.exits.ravel()
+        turn[np.ix_(block, block)] = np.kron(np.eye(self.robot.n), rotation)
+        mean = self.turned_values(rotation, self.prior.mean)
+        other = copy(self)
+        other.prior = replace(
+            self.prior, mean=mean, covariance=turn @ self.prior.covariance @ turn.T
+        )
+        return other
+
+    def turned_values(self, rotation: Array, shared: Array) -> Array:
+        """Return shared unknowns (m,) with the exit points turned about home."""
+        center = self.robot.home_position + self.offsets
+        new = shared.copy()
+        new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
+        return new
+
+    def before(self, shared: Array) -> Before:
+        """Return what priors and measured distances say of the shared unknowns."""
+        moved = shared - self.prior.mean
+        pull = self.prior.information @ moved
+        miss, slope = self.distances(shared)
+        sigma = np.array([distance.sigma for distance in self.settings.distances])
+        white, tilt = miss / sigma, slope / sigma[:, None]
+        return Before(
+            information=self.prior.information + tilt.T @ tilt,
+            gradient=pull + tilt.T @ white,
+            cost=float(moved @ pull + white @ white),
+        )
+
+    def distances(self, shared: Array) -> tuple[Array, Array]:
+        """Return modelled less measured distances [m], (D,), and their derivative, (D, m)."""
+        miss = np.zeros(len(self._ends))
+        slope = np.zeros((len(self._ends), self.size))
+        for k, (first, second) in enumerate(self._ends):
+            ray = self._place(first, shared) - self._place(second, shared)
+            length = float(np.linalg.norm(ray))
+            miss[k] = length - self.settings.distances[k].length
+            for end, sign in ((first, 1.0), (second, -1.0)):
+                if end is not None:
+                    slope[k, self.exits[end]] = sign * ray / max(length, 1e-12)
+        return miss, slope
+
+    def points(self, shared: Array) -> Array:
+        """Return the exit points less the anchor points at home's rotation [m], shape (n, 3).
+
+        Turning these and the positions alike changes no length.
+        """
+        return np.asarray(shared[self.exits] - self.offsets)
+
+    @property
+    def offsets(self) -> Array:
+        """Anchor points at home's rotation, from the platform's origin [m], shape (n, 3)."""
+        return np.asarray(self.robot.anchor_points @ self.robot.home_rotation.T)
+
+    def _place(self, end: int | None, shared: Array) -> Array:
+        """Return an end of a distance [m], shape (3,): an exit point, or home."""
+        return self.robot.home_position if end is None else shared[self.exits[end]]
+
     def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
         """Return residuals and their derivatives.
 
@@ -103,15 +206,10 @@ class MotorAngleProblem:
             position: Of the chosen samples [m], shape (N, 3).
             rows: Chosen samples.
         """
-        angle = self._drum_angle[rows]
-        count, n = angle.shape
         straight, direction = self.straight(shared, position)
-        by_shared = np.zeros((count, n, self.size))
-        for i in range(n):
+        by_shared = self.wound_slope(rows)
+        for i in range(self.robot.n):
             by_shared[:, i, self.exits[i]] = direction[:, i]
-            by_shared[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
-            by_shared[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
-            by_shared[:, i, self.zeros[i]] = 1.0
         return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
@@ -139,6 +237,17 @@ class MotorAngleProblem:
             gear=np.ones(self.robot.n),
         )
         return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
+
+    def wound_slope(self, rows: Rows = slice(None)) -> Array:
+        """Return the derivative of `wound`, in which it is linear, shape (N, n, m)."""
+        angle = self._drum_angle[rows]
+        count, n = angle.shape
+        slope = np.zeros((count, n, self.size))
+        for i in range(n):
+            slope[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
+            slope[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
+            slope[:, i, self.zeros[i]] = 1.0
+        return slope
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
         """Return the straight lengths (N, n) [m] and directions (N, n, 3), as `straight_length`.
@@ -181,14 +290,24 @@ class MotorAngleProblem:
     def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
         """Return what the robot file and the settings say of the shared unknowns."""
         exits = self._names[: self.exits.size]
-        sigma = np.full(len(mean), LENGTH_AT_ZERO_SIGMA_M)
+        sigma = np.full(len(mean), settings.length_at_zero_sigma)
         sigma[: len(exits)] = settings.exit_sigma
-        sigma[self.radii] = DRUM_RADIUS_SIGMA_M
-        sigma[self.buildups] = DRUM_BUILDUP_SIGMA_SHARE * np.maximum(mean[self.buildups], 1e-9)
+        sigma[self.radii] = settings.drum_radius_sigma
+        sigma[self.buildups] = settings.drum_buildup_share * np.maximum(mean[self.buildups], 1e-9)
         covariance = np.diag(sigma**2)
         block = slice(0, len(exits))
         covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
         return Prior(names=self._names, mean=mean, covariance=covariance)
+
+
+def _end(robot: Robot, name: str) -> int | None:
+    """Return the place of a cable by its name; None for home."""
+    if name in robot.cable_names:
+        return robot.cable_names.index(name)
+    if name != HOME:
+        allowed = f"one of {list(robot.cable_names)}, for its exit point, or {HOME!r}"
+        raise InvalidField("end of a distance", repr(name), allowed)
+    return None
 
 
 def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:

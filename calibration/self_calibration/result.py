@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.result import CalibrationResult
+from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.scale import Scale
+from calibration.self_calibration.verdict import OUTSIDE_SHARE, Rival
 from carosac_toolkit.base.arrays import Array
 
 
@@ -33,13 +36,18 @@ class LeftOut:
 
     Attributes:
         sample: Its name.
-        error: Predicted less known position [m], shape (3,).
+        error: Predicted less known position [m], shape (3,); NaN along an axis that is unknown.
         sigma: One standard deviation of that error [m], shape (3,).
     """
 
     sample: str
     error: Array
     sigma: Array
+
+    @property
+    def distance(self) -> float:
+        """Distance of the predicted from the known position along the known axes [m]."""
+        return float(np.sqrt(np.nansum(self.error**2)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +61,8 @@ class SelfCalibration(CalibrationResult):
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
         used: Samples whose motor angles were used, shape (N,).
-        is_known: Samples whose position is known, shape (N,).
+        is_known: Samples with a known coordinate, shape (N,).
+        known_axes: True for each coordinate that is known, shape (N, 3).
         known_position: Known positions, 0 elsewhere [m], shape (N, 3).
         advantage: Line paid out per length of cable, shape (n,).
         length_at_zero: Lengths where the motor angles are 0 [m], shape (n,).
@@ -62,6 +71,9 @@ class SelfCalibration(CalibrationResult):
         redundancy: Lengths beyond those that the unknowns take.
         blunders: Samples that were left out.
         left_out: Known positions predicted one at a time, where the others suffice.
+        frame: Convention that holds what nothing that was measured tells.
+        scale: How well the size of everything is known, and from what.
+        rivals: Other solutions, the best of them first.
     """
 
     samples: tuple[str, ...]
@@ -70,6 +82,7 @@ class SelfCalibration(CalibrationResult):
     residual: Array
     used: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
+    known_axes: NDArray[np.bool_]
     known_position: Array
     advantage: Array
     length_at_zero: Array
@@ -78,6 +91,9 @@ class SelfCalibration(CalibrationResult):
     redundancy: float
     blunders: tuple[SampleBlunder, ...]
     left_out: tuple[LeftOut, ...]
+    frame: Frame
+    scale: Scale
+    rivals: tuple[Rival, ...]
 
     @property
     def residual_rms(self) -> float:
@@ -113,6 +129,17 @@ class SelfCalibration(CalibrationResult):
             "left_out": {
                 one.sample: {"error_m": one.error, "sigma_m": one.sigma} for one in self.left_out
             },
+            "frame": self.frame.data(),
+            "scale": {"sigma": self.scale.sigma, "sources": self.scale.sources},
+            "other_solutions": [
+                {
+                    "cost": rival.cost,
+                    "distance_m": rival.distance,
+                    "mirrored": rival.mirrored,
+                    "outside_workspace": rival.outside > OUTSIDE_SHARE,
+                }
+                for rival in self.rivals
+            ],
             "warnings": list(self.warnings),
         }
 
@@ -129,18 +156,35 @@ class SelfCalibration(CalibrationResult):
             f"positions are known to {sure.min():.1f} to {sure.max():.1f} mm (1 sigma per axis)",
         ]
         if self.left_out:
-            error = [1e3 * float(np.linalg.norm(one.error)) for one in self.left_out]
+            error = [1e3 * one.distance for one in self.left_out]
             worst = self.left_out[int(np.argmax(error))].sample
             lines.append(
                 f"known positions, left out one at a time, are predicted within {max(error):.1f} "
                 f"mm (worst: sample {worst}), {np.sqrt(np.mean(np.square(error))):.1f} mm RMS"
             )
-        else:
+        elif self.is_known.any():
             lines.append(
                 "no known position can be left out: the others do not suffice to predict it"
             )
+        lines += self.frame.sentences()
+        lines.append(self.scale.sentence())
+        lines += self._rival_sentences()
         lines.append(
             "cables were taken as straight and stiff, as no tensions are known; what a constant "
             "tension stretches counts as drum radius"
         )
         return lines
+
+    def _rival_sentences(self) -> list[str]:
+        """Return how much worse the best other solution is."""
+        if not self.rivals:
+            return ["no other solution was found"]
+        rival = self.rivals[0]
+        kind = "its mirror image" if rival.mirrored else "another one"
+        end = (
+            ", and has positions outside of the workspace" if rival.outside > OUTSIDE_SHARE else ""
+        )
+        return [
+            f"the best other solution, {kind}, is {rival.cost:.3g} squared standard deviations "
+            f"worse{end}"
+        ]

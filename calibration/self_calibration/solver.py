@@ -29,7 +29,7 @@ class Trust:
     Attributes:
         line_sigma: One standard deviation of the line paid out [m].
         lengths: Samples whose motor angles count, shape (N,).
-        known: Samples whose known position counts, shape (N,).
+        known: Samples whose known coordinates count, shape (N,).
         robust: True if samples far off lose weight (Cauchy).
     """
 
@@ -101,8 +101,8 @@ def equations(
         damping: Relative growth of the diagonals (Levenberg-Marquardt).
     """
     white = whiten(problem, shared, position, trust.line_sigma)
-    known = problem.angles.is_known[:, None]
-    away = np.where(known, (position - problem.angles.known_position) / problem.known_sigma, 0.0)
+    axes = problem.known_axes
+    away = np.where(axes, (position - problem.known_position) / problem.known_sigma, 0.0)
     weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
     hold, drift = _weights((away**2).sum(axis=1), 3, trust.robust)
     weight, hold = weight * trust.lengths, hold * trust.known
@@ -111,19 +111,19 @@ def equations(
     weighted = white.by_own * weight[:, None, None]
     own = weighted.swapaxes(1, 2) @ white.by_own
     diagonal = np.arange(3)
-    own[:, diagonal, diagonal] += hold[:, None] / problem.known_sigma**2 + reach**-2
+    own[:, diagonal, diagonal] += axes * hold[:, None] / problem.known_sigma**2 + reach**-2
     own[:, diagonal, diagonal] *= 1.0 + damping
     pull = np.einsum("kij,ki->kj", weighted, white.residual)
     pull += hold[:, None] * away / problem.known_sigma + offset / reach**2
     cross = weighted.swapaxes(1, 2) @ white.by_shared
     covariance: Array = np.asarray(np.linalg.inv(own), dtype=np.float64)
     by_shared, step = -covariance @ cross, -np.einsum("kij,kj->ki", covariance, pull)
-    moved = shared - problem.prior.mean
+    before = problem.before(shared)
     flat = white.by_shared.reshape(-1, problem.size)
     heavy = np.repeat(weight, white.residual.shape[1])
-    information = (flat * heavy[:, None]).T @ flat + problem.prior.information
+    information = (flat * heavy[:, None]).T @ flat + before.information
     information[np.diag_indices(problem.size)] *= 1.0 + damping
-    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior.information @ moved
+    gradient = flat.T @ (heavy * white.residual.ravel()) + before.gradient
     tied = cross.reshape(-1, problem.size)
     return Equations(
         information=information + tied.T @ by_shared.reshape(-1, problem.size),
@@ -131,9 +131,7 @@ def equations(
         by_shared=by_shared,
         step=step,
         position_covariance=covariance,
-        cost=float(
-            loss @ trust.lengths + drift @ trust.known + moved @ problem.prior.information @ moved
-        )
+        cost=float(loss @ trust.lengths + drift @ trust.known + before.cost)
         + float((offset**2).sum()) / reach**2,
         lengths=weight,
         known=hold,
@@ -182,6 +180,13 @@ def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
     if not robust:
         return np.ones(len(square)), square
     return cauchy(square, free * CAUCHY_SIGMAS**2)
+
+
+def inverse(matrix: Array) -> Array:
+    """Invert a positive definite matrix whose unknowns have very different scales."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    both = np.outer(scale, scale)
+    return np.asarray(np.linalg.inv(matrix * both) * both)
 
 
 def _solve(matrix: Array, vector: Array) -> Array:

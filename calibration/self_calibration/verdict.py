@@ -1,0 +1,312 @@
+"""The verdict on a self-calibration: what the data leave undetermined, and other solutions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.observability import Unobservable, judge
+from calibration.self_calibration.blunder_tests import SettledFit
+from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
+from calibration.self_calibration.starting_points import places_known
+from carosac_toolkit.base.arrays import Array
+
+LOOSE_EXIT_SHARE = (
+    0.05  # of the longest cable: an exit point less sure than that was not calibrated
+)
+RIVAL_COST_MAX = 13.8  # squared standard deviations: another solution that is less worse is as good
+RIVAL_STEPS_MAX = 30
+MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that well
+OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
+BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
+LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
+PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
+FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rival:
+    """Another solution.
+
+    Attributes:
+        cost: By how much worse it fits [squared standard deviations].
+        distance: Largest distance of an exit point from that of the best solution [m].
+        mirrored: True if it is the mirror image of the best solution.
+        outside: RMS distance of its positions from the workspace over the workspace's diagonal.
+        fit: The solution.
+    """
+
+    cost: float
+    distance: float
+    mirrored: bool
+    outside: float
+    fit: SampleFit
+
+    @property
+    def as_good(self) -> bool:
+        """Return whether the data and priors cannot tell it from the best one."""
+        return self.cost < RIVAL_COST_MAX and not (self.mirrored and self.outside > OUTSIDE_SHARE)
+
+
+def find_rivals(
+    problem: MotorAngleProblem, settled: SettledFit, frame: Frame, others: list[SampleFit]
+) -> list[Rival]:
+    """Fit other solutions, and the mirror image, with the data that the best one trusts.
+
+    Args:
+        problem: The samples.
+        settled: The best solution.
+        frame: Its frame.
+        others: Where other starts ended.
+
+    Returns:
+        Those that differ, the best first.
+    """
+    rivals = list[Rival]()
+    best, near = settled.fit, LOOSE_EXIT_SHARE * problem.longest
+    before, points = problem.points(problem.prior.mean), problem.points(settled.fit.shared)
+    image = frame.aligned(problem, best, before, mirror=True)
+    for start in [image, *_one_mirrored(problem, settled), *others]:
+        first = frame.aligned(problem, start, before) if start is not image else image
+        end = fit(problem, first.shared, first.position, settled.trust, steps=RIVAL_STEPS_MAX)
+        end = frame.aligned(problem, end, before)
+        other = fit(problem, end.shared, end.position, settled.trust, steps=RIVAL_STEPS_MAX)
+        apart = _apart(problem, frame, other, points)
+        new = all(
+            _apart(problem, frame, other, problem.points(r.fit.shared)) > near for r in rivals
+        )
+        if apart > near and new:
+            rivals.append(
+                Rival(
+                    cost=other.cost - best.cost,
+                    distance=apart,
+                    mirrored=_mirrored(problem, other, best, settled.trust),
+                    outside=_outside(problem, other, settled.trust),
+                    fit=other,
+                )
+            )
+    return sorted(rivals, key=lambda rival: rival.cost)
+
+
+def _apart(problem: MotorAngleProblem, frame: Frame, other: SampleFit, points: Array) -> float:
+    """Return the largest distance of exit points from others, turned to fit them best [m]."""
+    turned = frame.aligned(problem, other, points)
+    return float(np.abs(problem.points(turned.shared) - points).max())
+
+
+def better_rival(
+    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival]
+) -> Rival | None:
+    """Return a mirror image that fits as well, in the workspace, if the best one is outside it."""
+    outside = _outside(problem, settled.fit, settled.trust)
+    for rival in rivals:
+        close = rival.mirrored and rival.cost < RIVAL_COST_MAX
+        if close and outside > OUTSIDE_SHARE and rival.outside < 0.5 * outside:
+            return rival
+    return None
+
+
+def check_determined(
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust, frame: Frame
+) -> None:
+    """Refuse data that leave the exit points where they were guessed.
+
+    The exit points are judged with everything else known as before, their own prior aside, and
+    without the free motions of everything.
+
+    Raises:
+        Unobservable: With the reason.
+    """
+    system = equations(problem, solution.shared, solution.position, trust)
+    rows = np.arange(problem.exits.size)
+    rest = np.arange(len(rows), problem.size)
+    data = frame.held(system.information - problem.prior.information)
+    both = data + problem.prior.information
+    tied = data[np.ix_(rows, rest)]
+    alone = data[np.ix_(rows, rows)] - tied @ np.linalg.solve(both[np.ix_(rest, rest)], tied.T)
+    seen = judge(problem.prior.names[: len(rows)], alone, problem.prior.sigma[rows])
+    left = np.linalg.inv(both)[np.ix_(rows, rows)]
+    variance, axes = np.linalg.eigh(left)
+    loose = float(np.sqrt(variance[-1]))
+    if loose > LOOSE_EXIT_SHARE * problem.longest:
+        named = problem.prior.names[int(np.argmax(np.abs(axes[:, -1])))]
+        free = (*seen.blind, *seen.weak, named)[0]
+        raise Unobservable(_reason(problem, solution, trust, free, loose))
+
+
+def check_reference(problem: MotorAngleProblem, trust: Trust) -> None:
+    """Refuse a reference that does not fit the other samples, as the origin hangs on it.
+
+    Raises:
+        Unobservable: Naming the sample.
+    """
+    reference = problem.reference
+    if reference is not None and not trust.lengths[reference.row]:
+        raise Unobservable(
+            f"the motor angles of sample {reference.sample!r}, the reference, which is the origin, "
+            "do not fit the other samples. Allowed: another sample there, or known positions"
+        )
+
+
+def _reason(
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust, free: str, loose: float
+) -> str:
+    """Explain why the exit points stay free, and what would help."""
+    count, spare = len(problem.angles.samples), problem.robot.n - 3
+    unknown = problem.size - 6
+    if misfits(problem, trust):
+        why = misfits(problem, trust)
+    elif places_known(problem):
+        why = f"{count} samples are too few, or too close together."
+    elif spare == 0:
+        why = (
+            "three cables have no length to spare beyond those that a position takes, so that "
+            "known positions alone can tell their exit points."
+        )
+    elif count * spare < unknown:
+        why = (
+            f"{count} samples have {count * spare} lengths to spare, fewer than the {unknown} "
+            "unknowns."
+        )
+    else:
+        why = _thin(problem, solution, trust) or (
+            f"{count} samples are too few, or too close together."
+        )
+    help_ = "samples spread over the whole workspace, high and low; " if spare else ""
+    return (
+        f"the motor angles do not determine the exit points: {why} Up to {loose:.2g} m stay free, "
+        f"above all in {free}. Allowed: {help_}at least three known positions, not on one "
+        "line, among samples spread over the workspace; or exit points that the robot file knows "
+        "better"
+    )
+
+
+def _thin(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> str:
+    """Explain in which direction the samples do not spread; empty if they do."""
+    place = solution.position[trust.lengths]
+    _, size, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
+    extent = size / np.sqrt(len(place))
+    if extent[2] > FLAT_SHARE * extent[0]:
+        return ""
+    across = ", ".join(f"{part:.2f}" for part in axes[2])
+    what = "on a line" if extent[1] < FLAT_SHARE * extent[0] else "in a plane"
+    return (
+        f"the samples lie {what}, within {extent[2]:.2g} m RMS along ({across}); others off it are "
+        "needed."
+    )
+
+
+def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
+    """Explain why most samples do not fit each other; empty if they do."""
+    out, count = int((~trust.lengths).sum()), len(trust.lengths)
+    if out > BLUNDER_SHARE_MAX * count:
+        what = f"the motor angles of {out} of {count} samples do not fit the others"
+    elif trust.line_sigma > LINE_NOISE_SHARE_MAX * problem.longest:
+        what = f"the motor angles of all samples fit only to {trust.line_sigma:.2g} m of line"
+    else:
+        return ""
+    return (
+        f"{what}; is the robot file right about gears and advantages, and the file about the order "
+        "and sign of the motors?"
+    )
+
+
+def warnings_of(
+    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], exits: Array
+) -> tuple[str, ...]:
+    """Name rival solutions, many blunders, and what contradicts what was known before.
+
+    Args:
+        problem: The samples.
+        settled: The fit.
+        rivals: Other solutions.
+        exits: Covariance of the exit points in the frame of the result [m^2], shape (3 n, 3 n).
+    """
+    lines = [_rival_words(rival) for rival in rivals if rival.as_good][:1]
+    bad = misfits(problem, settled.trust)
+    lines += [bad] if bad else []
+    far = problem.prior.deviation(settled.fit.shared)
+    k = int(np.argmax(far))
+    if far[k] > PRIOR_SIGMAS_MAX:
+        lines.append(
+            f"{problem.prior.names[k]} is {far[k]:.1f} prior standard deviations from its prior: "
+            "are cables swapped, or is the robot file wrong there?"
+        )
+    miss, _ = problem.distances(settled.fit.shared)
+    for distance, error in zip(problem.settings.distances, miss, strict=True):
+        if abs(error) > PRIOR_SIGMAS_MAX * distance.sigma:
+            lines.append(
+                f"the distance {distance} comes out {1e3 * error:+.1f} mm longer than measured, "
+                f"{abs(error) / distance.sigma:.1f} standard deviations: is it between these "
+                "points, and right?"
+            )
+    wanted = problem.settings.accuracy
+    expected = mean_distance(exits)
+    if wanted is not None and expected > wanted:
+        lines.append(
+            f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
+            f"{1e3 * wanted:.1f} mm wanted: more samples are needed"
+        )
+    return tuple(lines)
+
+
+def mean_distance(exits: Array) -> float:
+    """Return the root mean square distance of each exit point from the truth, averaged [m]."""
+    return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
+
+
+def _rival_words(rival: Rival) -> str:
+    """Describe another solution that is as good."""
+    if rival.mirrored:
+        return (
+            f"the mirror image fits almost as well ({rival.cost:.1f} squared standard deviations "
+            f"worse), with exit points up to {rival.distance:.2f} m elsewhere; exit points that "
+            "the robot file knows better, or a known position out of the plane of the others, "
+            "tell them apart"
+        )
+    return (
+        f"another solution fits almost as well ({rival.cost:.1f} squared standard deviations "
+        f"worse), with exit points up to {rival.distance:.2f} m elsewhere; more samples, spread "
+        "over the whole workspace, or a known position tell them apart"
+    )
+
+
+def _one_mirrored(problem: MotorAngleProblem, settled: SettledFit) -> list[SampleFit]:
+    """Return starts with one exit point mirrored at the plane that the samples are nearest to.
+
+    Samples in a plane cannot tell the sides of it, cable by cable.
+    """
+    best, used = settled.fit, settled.trust.lengths
+    middle = best.position[used].mean(axis=0)
+    normal = np.linalg.svd(best.position[used] - middle, full_matrices=False)[2][2]
+    starts = []
+    for cable, point in enumerate(problem.points(best.shared)):
+        shared = best.shared.copy()
+        shared[problem.exits[cable]] -= 2.0 * ((point - middle) @ normal) * normal
+        starts.append(replace(best, shared=shared))
+    return starts
+
+
+def _mirrored(problem: MotorAngleProblem, other: SampleFit, best: SampleFit, trust: Trust) -> bool:
+    """Return whether a solution is the mirror image of the other one."""
+    both = [
+        np.vstack([problem.points(one.shared), one.position[trust.lengths]])
+        for one in (other, best)
+    ]
+    here, there = (points - points.mean(axis=0) for points in both)
+    left, _, right = np.linalg.svd(here.T @ there)
+    turn = left @ right
+    away = float(np.sqrt(((here @ turn - there) ** 2).sum(axis=1).mean()))
+    return bool(np.linalg.det(turn) < 0.0 and away < MIRROR_SHARE * problem.longest)
+
+
+def _outside(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> float:
+    """Return the RMS distance of positions from the workspace over the workspace's diagonal."""
+    low, high = problem.robot.workspace_min, problem.robot.workspace_max
+    place = solution.position[trust.lengths]
+    out = np.maximum(low - place, 0.0) + np.maximum(place - high, 0.0)
+    diagonal = float(np.linalg.norm(high - low))
+    return float(np.sqrt((out**2).sum(axis=1).mean()) / diagonal)
