@@ -10,7 +10,6 @@ import numpy as np
 from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import MisjudgedPlant
-from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.loop.protocols import Driver
@@ -20,7 +19,6 @@ from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 
 SUITE = "lengths+tension"
 SPEED_RATIO = 1.5  # of the fastest winch to the platform, with the feedback of tensions
-HAND_SIGMA_SHARE = 0.02  # of the longest cable: how near to a place a hand puts the platform
 
 
 def guard_limits(robot: Robot, settings: GuideSettings) -> dict[str, object]:
@@ -98,17 +96,3 @@ def reader(driver: Driver, settings: GuideSettings) -> Callable[[], Rest]:
         )
 
     return read
-
-
-class SimulatedHand:
-    """A person who puts the simulated platform near a place and pulls all cables taut."""
-
-    def __init__(self, plant: MisjudgedPlant, rng: np.random.Generator) -> None:
-        """Take the plant, and the source of how far the hand misses."""
-        self._plant, self._rng = plant, rng
-        arm = plant.robot.exit_points - plant.robot.home_position
-        self._sigma = HAND_SIGMA_SHARE * float(np.linalg.norm(arm, axis=1).max())
-
-    def place(self, start: Array, position: Array) -> None:
-        """Put it from one position near another one [m], each of shape (3,)."""
-        self._plant.reset((position + self._rng.normal(0.0, self._sigma, 3))[None])

@@ -10,7 +10,6 @@ import numpy as np
 
 from calibration.guide.drivers import (
     SUITE,
-    SimulatedHand,
     enable_where_it_is,
     guard_limits,
     guarded,
@@ -21,7 +20,7 @@ from calibration.guide.hand import HandMover
 from calibration.guide.mover import DriverMover, Mover
 from calibration.guide.progress import request
 from calibration.guide.settings import GuideSettings
-from calibration.guide.simulated import MisjudgedPlant, draw_true_robot
+from calibration.guide.simulated import SimulatedHand, draw_true_robot
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli import run_options
@@ -70,28 +69,28 @@ def simulated(
     if true.cable_names != robot.cable_names:
         allowed = f"a robot with cables {list(robot.cable_names)}"
         raise InvalidField("--true-robot", f"cables {list(true.cable_names)}", allowed)
-    driver = simulated_driver(robot, true, settings, seed=seed)
-
-    def position() -> Array:
-        return np.asarray(driver.truth().position[0])
-
     if by_hand:
-        assert isinstance(driver.plant, MisjudgedPlant)
-        hand = SimulatedHand(driver.plant, rng)
+        hand = SimulatedHand(robot, true, rng)
 
         def ask(start: Array, end: Array) -> None:
             _prompt(robot, start, end)
             hand.place(start, end)
 
-        driver.connect()
-        with contextlib.closing(driver):
-            mover: Mover = HandMover(ask, reader(driver, settings))
-            yield Session(mover=mover, true_position=position, true_robot=true)
+        yield Session(
+            mover=HandMover(ask, hand.read),
+            true_position=lambda: hand.position,
+            true_robot=true,
+        )
         return
+    driver = simulated_driver(robot, true, settings, seed=seed)
     guard = guarded(driver, robot, settings)
     with _enabled(guard, robot):
         mover = DriverMover(guard, robot, settings, real_time=False)
-        yield Session(mover=mover, true_position=position, true_robot=true)
+        yield Session(
+            mover=mover,
+            true_position=lambda: np.asarray(driver.truth().position[0]),
+            true_robot=true,
+        )
 
 
 @contextlib.contextmanager

@@ -6,15 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.guide.samples import Rest
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.drivers.plant import Plant
 from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
+from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.values import State
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest import tension_distribution
 from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 SIDEWAYS_SHARE = 0.08  # of the longest cable: 1 sigma per horizontal axis of an exit point
@@ -26,6 +30,8 @@ STIFFNESS_SHARE = 0.3  # of the stiffness of the cables
 MASS_SHARE = 0.02  # of the mass
 DRAWS_MAX = 1000
 PULL_TIME_S = 2.0  # [s] in which a person pulls the cables tight
+HAND_SIGMA_SHARE = 0.02  # of the longest cable: how near to a place a hand puts the platform
+HAND_STEPS = 21  # places on the way of a hand at which it feels for slack cables
 HUNG_WEIGHTS = 0.4  # of the weight: tension above its limit that every cable has at first
 
 
@@ -83,6 +89,25 @@ def taut_tensions(robot: Robot, position: Array) -> Array:
     return np.where(found.feasible[:, None], found.tension, np.nan)
 
 
+class MisjudgedDrums:
+    """Drives that take the drums of a robot for those of its file."""
+
+    def __init__(self, robot: Robot, true_robot: Robot, home_length: Array) -> None:
+        """Take the robot of the file, the true one, and its lengths at home [m], (n,)."""
+        self._assumed, self._drums = drums_of(robot), drums_of(true_robot)
+        home = straight_length(robot, robot.home_position[None]).length
+        self._shown = self._assumed.motor_angle(home[0])
+        self._turned = self._drums.motor_angle(home_length)
+
+    def shown(self, length: Array) -> Array:
+        """Return what encoders show at true lengths [m], shapes (..., n)."""
+        return self._assumed.length(self._drums.motor_angle(length) - self._turned + self._shown)
+
+    def wound(self, command: Array) -> Array:
+        """Return the true lengths that drives wind for a command [m], shapes (..., n)."""
+        return self._drums.length(self._assumed.motor_angle(command) - self._shown + self._turned)
+
+
 class MisjudgedPlant:
     """A plant whose drives wind by the drums of the robot file, which are not its own.
 
@@ -101,27 +126,17 @@ class MisjudgedPlant:
         self._plant: Plant = QuasiStaticPlant(loose)
         self.robot, self.true_robot = robot, true_robot
         self.size, self.inertial = self._plant.size, self._plant.inertial
-        self._assumed, self._drums = drums_of(robot), drums_of(true_robot)
-        home = straight_length(robot, robot.home_position[None]).length
-        self._shown = self._assumed.motor_angle(home)
-        self._turned: Array | None = None
 
     def reset(self, position: Array) -> None:
-        """Rest at a position in W [m], shape (1, 3); at the first call the drives are homed."""
-        robot = self.true_robot
+        """Rest with taut cables at a position in W [m], shape (1, 3), where drives are homed."""
         self._plant.reset(position)
-        straight = straight_length(robot, position).length
-        soft = (straight + robot.run_length) / robot.axial_stiffness
-        taut = straight - soft * taut_tensions(robot, position)
-        self._plant.advance(taut, PULL_TIME_S)
-        if self._turned is None:
-            self._turned = self._drums.motor_angle(self._plant.read_lengths())
+        self._plant.advance(taut_lengths(self.true_robot, position), PULL_TIME_S)
+        home = self._plant.read_lengths()[0]
+        self._drums = MisjudgedDrums(self.robot, self.true_robot, home)
 
     def advance(self, command: Array, duration: float) -> None:
         """Wind towards the lengths asked of the drives [m], (1, n), for a time [s]."""
-        assert self._turned is not None
-        turned = self._assumed.motor_angle(command) - self._shown + self._turned
-        self._plant.advance(self._drums.length(turned), duration)
+        self._plant.advance(self._drums.wound(command), duration)
 
     def truth(self) -> State:
         """Return the true state."""
@@ -133,6 +148,58 @@ class MisjudgedPlant:
 
     def read_lengths(self) -> Array:
         """Return readings of perfect encoders by the drums of the robot file [m], shape (1, n)."""
-        assert self._turned is not None
-        turned = self._drums.motor_angle(self._plant.read_lengths())
-        return self._assumed.length(turned - self._turned + self._shown)
+        return self._drums.shown(self._plant.read_lengths())
+
+
+class SimulatedHand:
+    """A person who puts a platform near a place, pulls all cables taut and reads the sensors.
+
+    Attributes:
+        position: True position [m], shape (3,).
+    """
+
+    def __init__(self, robot: Robot, true_robot: Robot, rng: np.random.Generator) -> None:
+        """Take the robot of the file and the true one, at home.
+
+        Args:
+            robot: As in its file.
+            true_robot: The one that is moved.
+            rng: Source of how far the hand misses, and of noise.
+        """
+        self._true, self._rng = true_robot, rng
+        arm = robot.exit_points - robot.home_position
+        self._sigma = HAND_SIGMA_SHARE * float(np.linalg.norm(arm, axis=1).max())
+        sensors = resolved(SensorSettings(), Scales(robot).ratios)
+        self._length_noise, self._tension_noise = sensors.encoder_noise, sensors.tension_noise
+        self.position = np.array(robot.home_position)
+        home = taut_lengths(true_robot, self.position[None])[0]
+        self._drums = MisjudgedDrums(robot, true_robot, home)
+
+    def place(self, start: Array, position: Array) -> None:
+        """Put it near a position [m], shape (3,), as far as cables can be taut on the way."""
+        way = position + self._rng.normal(0.0, self._sigma, 3) - self.position
+        places = self.position + np.linspace(0.0, 1.0, HAND_STEPS)[:, None] * way
+        taut = np.isfinite(taut_tensions(self._true, places)).all(axis=1)
+        self.position = places[int(np.argmin(taut)) - 1] if not taut.all() else places[-1]
+
+    def read(self) -> Rest:
+        """Return the readings there."""
+        place = self.position[None]
+        length = self._drums.shown(taut_lengths(self._true, place)[0])
+        noise = self._rng.normal(0.0, 1.0, (2, len(length)))
+        return Rest(
+            length=length + self._length_noise * noise[0],
+            tension=taut_tensions(self._true, place)[0] + self._tension_noise * noise[1],
+        )
+
+
+def taut_lengths(robot: Robot, position: Array) -> Array:
+    """Return the unstrained lengths of cables with `taut_tensions` [m], shape (B, n).
+
+    Args:
+        robot: The true one.
+        position: Platform origin in W [m], shape (B, 3).
+    """
+    straight = straight_length(robot, position).length
+    soft = (straight + robot.run_length) / robot.axial_stiffness
+    return np.asarray(straight - soft * taut_tensions(robot, position))

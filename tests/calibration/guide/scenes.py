@@ -8,10 +8,8 @@ import numpy as np
 
 import carosac_toolkit as ct
 from calibration.guide.drivers import (
-    SimulatedHand,
     enable_where_it_is,
     guarded,
-    reader,
     simulated_driver,
 )
 from calibration.guide.guide import Guide
@@ -19,7 +17,7 @@ from calibration.guide.hand import HandMover
 from calibration.guide.mover import DriverMover
 from calibration.guide.samples import SampleFile
 from calibration.guide.settings import GuideSettings
-from calibration.guide.simulated import draw_true_robot
+from calibration.guide.simulated import SimulatedHand, draw_true_robot
 from calibration.self_calibration.settings import SelfCalibrationSettings
 
 LIMITS = {"tension_min": np.full(4, 1.0), "tension_max": np.full(4, 60.0)}
@@ -63,11 +61,9 @@ def driven(path, seed, *, settings=QUICK, robot=ROBOT, tension=True):
 
 
 def by_hand(path, seed, *, settings=QUICK, robot=ROBOT, at_random=False, read=None, priors=None):
-    """Return a guide of a robot that is moved by hand, and the driver that reads its sensors."""
-    driver = simulated_driver(robot, true_robot(seed, robot), settings, seed=seed)
-    driver.connect()
-    hand = SimulatedHand(driver.plant, np.random.default_rng(seed))
-    mover = HandMover(hand.place, read(driver) if read else reader(driver, settings))
+    """Return a guide of a robot that is moved by hand, and the hand."""
+    hand = SimulatedHand(robot, true_robot(seed, robot), np.random.default_rng(seed))
+    mover = HandMover(hand.place, read(hand) if read else hand.read)
     samples = SampleFile(path, robot)
     priors = priors or SelfCalibrationSettings()
-    return Guide(robot, mover, samples, settings, priors, seed=seed, at_random=at_random), driver
+    return Guide(robot, mover, samples, settings, priors, seed=seed, at_random=at_random), hand

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calibration.guide.drivers import reader
 from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.guide.verdict import CHANCE_MIN, Verdict, aligned_errors
@@ -26,9 +25,9 @@ def exit_error(fit, true, home):
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_it_stops_at_the_wanted_accuracy_and_has_it(tmp_path, seed):
-    guide, driver = by_hand(tmp_path / "samples.csv", seed, settings=SETTINGS)
+    guide, hand = by_hand(tmp_path / "samples.csv", seed, settings=SETTINGS)
     guide.resume()
-    home = driver.truth().position[0]
+    home = hand.position
     samples = list(guide.collect())
     sigma = [sample.fit.known.exit_sigma.max() for sample in samples]
     assert guide.accurate
@@ -77,11 +76,9 @@ def test_a_second_run_goes_on_with_the_samples_of_the_first(tmp_path):
 def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_path):
     slip = np.zeros(4)
 
-    def slipping(driver):
-        read = reader(driver, SETTINGS)
-
+    def slipping(hand):
         def shifted():
-            rest = read()
+            rest = hand.read()
             return Rest(length=rest.length + slip, tension=rest.tension)
 
         return shifted
@@ -89,15 +86,15 @@ def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_p
     verdicts = []
     for slipped in (0.0, 0.05):
         slip[:] = 0.0
-        guide, driver = by_hand(tmp_path / f"{slipped}.csv", 2, settings=SETTINGS, read=slipping)
+        guide, hand = by_hand(tmp_path / f"{slipped}.csv", 2, settings=SETTINGS, read=slipping)
         guide.resume()
         true, place = [], []
         for _ in guide.collect():
-            true.append(driver.truth().position[0])
+            true.append(hand.position)
         place = list(guide.fit.position)
         slip[0] = slipped
         for check in guide.check():
-            true.append(driver.truth().position[0])
+            true.append(hand.position)
             place.append(check.position)
         error = aligned_errors(place, true, HOME)[-SETTINGS.checks :]
         verdicts.append(Verdict(checks=guide.checked, position_error=error))
@@ -114,8 +111,8 @@ def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_p
 def test_slack_cables_are_no_sample(tmp_path):
     guide, _ = by_hand(
         tmp_path / "samples.csv", 0,
-        read=lambda driver: lambda: Rest(
-            length=driver.measure().unstrained_length[0], tension=np.array([0.0, 9.0, 9.0, 20.0])
+        read=lambda hand: lambda: Rest(
+            length=hand.read().length, tension=np.array([0.0, 9.0, 9.0, 20.0])
         ),
     )  # fmt: skip
     guide.resume()
