@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     )
     from calibration.self_calibration.motor_angles import MotorAngles
     from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
-    from calibration.self_calibration.settings import SelfCalibrationSettings
+    from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
     from calibration.self_calibration.synthetic import (
         MeasurementNoise,
         draw_positions,
@@ -72,6 +72,7 @@ __carosac__ = True  # marks this package as ours: the name is not unique
 
 _MODULES = {
     "CalibrationResult": "result",
+    "Distance": "self_calibration.settings",
     "DrawnSurvey": "tachymeter.synthetic",
     "Identification": "identification.result",
     "IdentificationSettings": "identification.settings",
@@ -133,6 +134,7 @@ _MODULES = {
 }
 __all__ = [
     "CalibrationResult",
+    "Distance",
     "DrawnSurvey",
     "Identification",
     "IdentificationSettings",

@@ -120,7 +120,7 @@ def _result(
     """Put everything together."""
     angles, trust = problem.angles, settled.trust
     shared, position = settled.fit.shared, settled.fit.position
-    system = equations(problem, shared, position, trust)
+    system = equations(problem, shared, position, _cautious(problem, settled))
     lost = ~trust.lengths & ~trust.known
     covariance = frame.covariance(system.information)
     slope = frame.position_slope(system.by_shared, position)
@@ -153,6 +153,18 @@ def _result(
         ),
         warnings=warnings_of(problem, settled, rivals, covariance[np.ix_(exits, exits)]),
     )
+
+
+def _cautious(problem: MotorAngleProblem, settled: SettledFit) -> Trust:
+    """Return the data with the noise that makes covariances right where it was estimated.
+
+    With an estimated noise, errors have a t distribution of as many freedoms as there are lengths
+    to spare, whose variance is larger than that of a normal one.
+    """
+    trust, freedoms = settled.trust, settled.redundancy
+    if problem.settings.line_sigma is not None or freedoms <= 2.0:
+        return trust
+    return replace(trust, line_sigma=trust.line_sigma * np.sqrt(freedoms / (freedoms - 2.0)))
 
 
 def _parameters(
@@ -204,7 +216,7 @@ def _blunders(problem: MotorAngleProblem, settled: SettledFit) -> tuple[SampleBl
 
 def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut, ...]:
     """Predict each known position from everything else."""
-    trust, angles, left_out = settled.trust, problem.angles, []
+    trust, angles, left_out = _cautious(problem, settled), problem.angles, []
     for k in np.flatnonzero(trust.known & trust.lengths & angles.is_known):
         axes = angles.coordinates_known[k]
         known = trust.known.copy()
