@@ -1,0 +1,197 @@
+"""Guide a robot, or a person who moves it, to where it learns its geometry.
+
+From home the robot goes slowly to the position that teaches most about its exit points by what is
+known by then, rests, and is fitted anew, until the exit points are as accurate as wanted. Then ten
+moves are predicted before they are made: their errors against the claim are the verdict.
+
+Every sample is on the disk before the next move. Started again with the same file, the guide goes
+on where it was stopped. Without --enable nothing moves, but for the simulated robot.
+
+Exit status 1 means that the accuracy was not reached, or that the verdict is negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from calibration.guide import progress as shown
+from calibration.guide.guide import Guide
+from calibration.guide.mover import Stopped
+from calibration.guide.samples import SampleFile
+from calibration.guide.session import SIMULATED, Session, real, simulated
+from calibration.guide.settings import GuideSettings
+from calibration.guide.verdict import Verdict, aligned_errors
+from calibration.report import print_sentences, write_new_robot
+from calibration.robot_update import check_output
+from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.problem import check_drums
+from calibration.self_calibration.settings import SelfCalibrationSettings
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac calibrate guide``."""
+
+    samples: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SAMPLES")]
+    """CSV of the samples, a file of motor angles; one that exists is gone on with."""
+    robot: str = "hangprinter"
+    """A bundled robot or a YAML file, with drums; its platform must be at home, all cables taut."""
+    driver: str = SIMULATED
+    """Driver: `quasi_static` (a simulated robot that differs from its file), `ads` (a PLC), or
+    `module:Class`. It must give lengths; tensions too, unless the platform is moved by hand."""
+    true_robot: str | None = None
+    """Simulated robot: the true one, a YAML file; by default one is drawn, by --seed, that the
+    robot file may be a first guess of."""
+    by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Say where to put the platform and wait for Enter, instead of moving it."""
+    enable: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Let the winches of a real robot move."""
+    accuracy: float = GuideSettings.accuracy
+    """Wanted standard deviation of every exit point along its worst direction [m]."""
+    max_samples: int = GuideSettings.max_samples
+    """Samples after which the guide gives up."""
+    checks: int = GuideSettings.checks
+    """Moves that are predicted before they are made."""
+    speed: float = GuideSettings.speed
+    """Largest speed of the platform [m/s]; slower where tensions may change quickly."""
+    settings: Annotated[
+        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """Setting of a real driver, driver.FIELD=VALUE; may be given several times."""
+    output: OutputFile = None
+    """The new robot file; never the old one."""
+
+
+def run(options: Options) -> CommandResult:
+    """Guide one robot."""
+    settings = GuideSettings(
+        accuracy=options.accuracy, max_samples=options.max_samples, checks=options.checks,
+        speed=options.speed,
+    )  # fmt: skip
+    robot = load_robot(options.robot)
+    check_drums(robot)
+    _check_cables(robot)
+    _check_options(options)
+    check_output("--output", options.output, options.robot)
+    samples = SampleFile(Path(options.samples), robot)
+    with _session(options, robot, settings) as session:
+        priors = SelfCalibrationSettings()
+        guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
+        try:
+            verdict = _guided(guide, session, settings, robot)
+        except Stopped:
+            print(f"\nstopped; the same command goes on from {options.samples}")
+            return CommandResult({"samples": len(samples.names)}, status=1)
+    if options.output is not None:
+        noise = replace(priors, line_sigma=guide.known.line_sigma)
+        result = calibrate_motor_angles(samples.measured(), robot, noise)
+        provenance = f"guided self-calibration, samples in {samples.path.name}"
+        write_new_robot(result, options.robot, options.output, provenance=provenance)
+    print()
+    print_sentences(_sentences(guide, session, verdict))
+    data = {
+        "robot": robot.name,
+        "samples": len(samples.measured().samples),
+        "accurate": guide.accurate,
+        "exit_sigma_m": dict(zip(robot.cable_names, guide.known.exit_sigma, strict=True)),
+        "exit_points_m": dict(zip(robot.cable_names, guide.known.exit_points, strict=True)),
+        "verdict": None if verdict is None else verdict.data(),
+    }
+    good = guide.accurate and (verdict is None or verdict.holds)
+    return CommandResult(data, status=0 if good else 1)
+
+
+def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
+    """Return the robot that is moved, as a context."""
+    if options.driver == SIMULATED:
+        return simulated(
+            robot, options.true_robot, settings, by_hand=options.by_hand, seed=options.seed
+        )
+    return real(
+        robot, options.robot, options.driver, settings, options.settings,
+        by_hand=options.by_hand, enable=options.enable,
+    )  # fmt: skip
+
+
+def _guided(
+    guide: Guide, session: Session, settings: GuideSettings, robot: Robot
+) -> Verdict | None:
+    """Collect and check, and print each sample."""
+    resumed = guide.resume()
+    print_sentences(
+        [
+            f"robot {robot.name}: wanted are exit points to {1e3 * settings.accuracy:.3g} mm "
+            f"(1 sigma), with {settings.max_samples} samples at most; "
+            + shown.before(guide.known, len(guide.samples.names))
+        ],
+        "",
+    )
+    print("\n" + shown.header())
+    truth = session.true_position
+    place: list[Array] = []
+    true: list[Array] = []
+    for sample in guide.collect():
+        print(shown.line(sample), flush=True)
+        if truth is not None:
+            true.append(truth())
+    assert guide.fit is not None
+    if settings.checks == 0:
+        return None
+    print("moves that are predicted before they are made:")
+    place = list(guide.fit.position)
+    for check in guide.check():
+        assert check.surprise is not None
+        print(shown.line(check), flush=True)
+        place.append(check.position)
+        if truth is not None:
+            true.append(truth())
+    checks = guide.checked
+    error = None
+    if resumed is None and truth is not None:
+        error = aligned_errors(place, true, robot.home_position)[-len(checks) :]
+    return Verdict(checks=checks, position_error=error)
+
+
+def _sentences(guide: Guide, session: Session, verdict: Verdict | None) -> list[str]:
+    """Return the outcome in words, the verdict last."""
+    largest = 1e3 * float(guide.known.exit_sigma.max())
+    count = len(guide.samples.measured().samples)
+    lines = [
+        f"{count} samples; the exit points are known to {largest:.1f} mm (1 sigma, largest), but "
+        "for a turn of the whole robot about home, which no length tells"
+    ]
+    if not guide.accurate:
+        lines.append(
+            "the wanted accuracy was NOT reached; go on with a larger --max-samples, or measure "
+            "a distance: the scale is known by the lengths at home and the drums only"
+        )
+    return lines + (["no moves were checked"] if verdict is None else verdict.sentences())
+
+
+def _check_cables(robot: Robot) -> None:
+    """Refuse robots whose lengths alone are never redundant."""
+    if robot.n <= 3:
+        allowed = "at least 4 cables: the lengths of 3 tell a position, and nothing of the robot"
+        raise InvalidField("robot", f"{robot.name!r} with {robot.n} cables", allowed)
+
+
+def _check_options(options: Options) -> None:
+    """Refuse options that are without effect."""
+    simulation = options.driver == SIMULATED
+    if simulation and (options.enable or options.settings):
+        name = "--enable" if options.enable else "--set"
+        raise InvalidField(name, "given", f"not with --driver {SIMULATED}, which is simulated")
+    if not simulation and options.true_robot is not None:
+        raise InvalidField("--true-robot", options.true_robot, f"with --driver {SIMULATED} only")
+    if options.driver == "simulator":
+        allowed = f"{SIMULATED}, whose robot may differ from its file, or a real driver"
+        raise InvalidField("--driver", "'simulator'", allowed)
