@@ -128,7 +128,6 @@ def _result(
     slope = frame.position_slope(system.by_shared, position)
     spread = system.position_covariance + slope @ covariance @ slope.swapaxes(1, 2)
     each = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    exits = problem.exits.ravel()
     return SelfCalibration(
         before=problem.robot,
         estimate=_parameters(problem, shared, covariance),
@@ -153,7 +152,7 @@ def _result(
         observability=problem.prior.judge(
             frame.held(system.information - problem.prior.information)
         ),
-        warnings=warnings_of(problem, settled, rivals, covariance[np.ix_(exits, exits)]),
+        warnings=warnings_of(problem, settled, rivals, covariance),
     )
 
 

@@ -9,9 +9,11 @@ import numpy as np
 from calibration.observability import Unobservable, judge
 from calibration.self_calibration.blunder_tests import SettledFit
 from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.knowledge import Knowledge
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
 from calibration.self_calibration.starting_points import places_known
+from calibration.self_calibration.suggested_positions import most_informative
 from carosac_toolkit.base.arrays import Array
 
 LOOSE_EXIT_SHARE = (
@@ -21,6 +23,8 @@ RIVAL_COST_MAX = 13.8  # squared standard deviations: another solution that is l
 RIVAL_STEPS_MAX = 30
 MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that well
 OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
+NEXT_POSITIONS = 3  # that are named
+GRID_POINTS = 4  # along each side of the workspace from which they are chosen
 POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
@@ -161,7 +165,38 @@ def check_determined(
     if loose > LOOSE_EXIT_SHARE * problem.longest:
         named = problem.prior.names[int(np.argmax(np.abs(axes[:, -1])))]
         free = (*seen.blind, *seen.weak, named)[0]
-        raise Unobservable(_reason(problem, solution, trust, free, loose))
+        covariance = frame.covariance(system.information)
+        further = ""
+        if problem.robot.n > 3 and not misfits(problem, trust):
+            further = next_positions(problem, solution.shared, covariance, trust.line_sigma)
+        raise Unobservable(_reason(problem, solution, trust, free, loose) + further)
+
+
+def next_positions(
+    problem: MotorAngleProblem, shared: Array, covariance: Array, line_sigma: float
+) -> str:
+    """Name the positions of the workspace that would teach most about the exit points.
+
+    Args:
+        problem: The samples.
+        shared: Values of the shared unknowns, shape (m,).
+        covariance: Shape (m, m).
+        line_sigma: Noise of the line paid out [m].
+    """
+    robot = problem.robot
+    sides = [np.linspace(*ends, GRID_POINTS) for ends in zip(
+        robot.workspace_min, robot.workspace_max, strict=True)]  # fmt: skip
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    known = Knowledge(
+        problem=problem,
+        settings=replace(problem.settings, x_through=None),
+        shared=shared,
+        covariance=covariance,
+        line_sigma=line_sigma,
+    )
+    chosen, _ = most_informative(known, grid, NEXT_POSITIONS)
+    places = ", ".join("(" + ", ".join(f"{part:.2f}" for part in grid[k]) + ")" for k in chosen)
+    return f". Of the workspace, samples near {places} m would teach most"
 
 
 def check_reference(problem: MotorAngleProblem, trust: Trust) -> None:
@@ -242,7 +277,7 @@ def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
 
 
 def warnings_of(
-    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], exits: Array
+    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], covariance: Array
 ) -> tuple[str, ...]:
     """Name rival solutions, many blunders, and what contradicts what was known before.
 
@@ -250,7 +285,7 @@ def warnings_of(
         problem: The samples.
         settled: The fit.
         rivals: Other solutions.
-        exits: Covariance of the exit points in the frame of the result [m^2], shape (3 n, 3 n).
+        covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [_rival_words(rival) for rival in rivals if rival.as_good][:1]
     bad = misfits(problem, settled.trust)
@@ -271,11 +306,13 @@ def warnings_of(
                 "points, and right?"
             )
     wanted = problem.settings.accuracy
-    expected = mean_distance(exits)
+    rows = problem.exits.ravel()
+    expected = mean_distance(covariance[np.ix_(rows, rows)])
     if wanted is not None and expected > wanted:
         lines.append(
             f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
             f"{1e3 * wanted:.1f} mm wanted: more samples are needed"
+            + next_positions(problem, settled.fit.shared, covariance, settled.trust.line_sigma)
         )
     return tuple(lines)
 

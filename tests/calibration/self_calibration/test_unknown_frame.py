@@ -1,5 +1,6 @@
 """Calibration with no known position, or with some coordinates of positions only."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -230,6 +231,7 @@ def test_flat_crowded_and_few_samples_are_refused_with_the_reason(change, messag
     with pytest.raises(Unobservable, match=message) as caught:
         calibrate_motor_angles(angles, before, settings)
     assert "exit_points[" in str(caught.value) and "Allowed: samples spread" in str(caught.value)
+    assert "samples near (" in str(caught.value)
 
 
 def test_three_cables_have_nothing_to_spare():
@@ -283,11 +285,29 @@ def test_a_wrong_distance_is_noticed():
     assert any("10.0 standard deviations: is it between" in line for line in result.warnings)
 
 
+def test_samples_that_are_named_help_more_than_samples_at_home():
+    before, truth, place, _ = scene(20, 40, known=())
+    flat = np.where([True, True, False], place, 0.02 * place)
+    rng = np.random.default_rng(0)
+    settings = SelfCalibrationSettings(line_sigma=1e-3, length_at_zero_sigma=0.5)
+    angles = measure_motor_angles(truth, flat, np.arange(0), MeasurementNoise(), rng)
+    with pytest.raises(Unobservable) as caught:
+        calibrate_motor_angles(angles, before, settings)
+    named = np.array([
+        [float(part) for part in words.split(",")]
+        for words in re.findall(r"\(([-\d., ]+)\)(?=,| m would)", str(caught.value))
+    ])[-3:]  # fmt: skip
+    assert named[:, 2].max() > 1.0  # off the plane
+    more = np.vstack([flat, named])
+    angles = measure_motor_angles(truth, more, np.arange(0), MeasurementNoise(), rng)
+    assert calibrate_motor_angles(angles, before, settings).estimate.sigma[:12].max() < 0.1
+
+
 def test_a_wanted_accuracy_that_is_not_reached_is_a_warning():
     before, _, _, angles = scene(16, 40, known=())
     result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(accuracy=1e-4))
     (warning,) = result.warnings
-    assert "not to the 0.1 mm wanted: more samples are needed" in warning
+    assert "not to the 0.1 mm wanted: more samples are needed. Of the workspace, samp" in warning
 
 
 @pytest.mark.parametrize(
