@@ -24,12 +24,13 @@ from calibration.guide.mover import Stopped
 from calibration.guide.samples import SampleFile
 from calibration.guide.session import SIMULATED, Session, real, simulated
 from calibration.guide.settings import GuideSettings
+from calibration.guide.simulated import taped_distance
 from calibration.guide.verdict import Verdict, aligned_errors
 from calibration.report import print_sentences, write_new_robot
 from calibration.robot_update import check_output
 from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.problem import check_drums
-from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
@@ -51,12 +52,25 @@ class Options(CommonOptions):
     true_robot: str | None = None
     """Simulated robot: the true one, a YAML file; by default one is drawn, by --seed, that the
     robot file may be a first guess of."""
+    tape: Annotated[tuple[tuple[str, str], ...], tyro.conf.arg(metavar="A B")] = ()
+    """Simulated robot: exit points, by cable, or one and home, whose distance is measured with a
+    tape, to 1 mm, at the start."""
+    distance: Annotated[
+        tuple[tuple[str, str, float, float], ...], tyro.conf.arg(metavar="A B LENGTH SIGMA")
+    ] = ()
+    """Measured distances between exit points, by cable, or from one to home, with their standard
+    deviations [m], such as a b 2.481 0.001."""
+    home_length_prior: float = SelfCalibrationSettings.length_at_zero_sigma
+    """Standard deviation of the lengths at home in the robot file [m]."""
+    radius_prior: float = SelfCalibrationSettings.drum_radius_sigma
+    """Standard deviation of the drums' radius in the robot file [m]."""
     by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
     """Say where to put the platform and wait for Enter, instead of moving it."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches of a real robot move."""
     accuracy: float = GuideSettings.accuracy
-    """Wanted standard deviation of every exit point along its worst direction [m]."""
+    """Wanted standard deviation of the exit points, the mean of their distances from the truth
+    [m]; turns of the whole robot about home, which no length tells, left out."""
     max_samples: int = GuideSettings.max_samples
     """Samples after which the guide gives up."""
     checks: int = GuideSettings.checks
@@ -84,7 +98,7 @@ def run(options: Options) -> CommandResult:
     check_output("--output", options.output, options.robot)
     samples = SampleFile(Path(options.samples), robot)
     with _session(options, robot, settings) as session:
-        priors = SelfCalibrationSettings()
+        priors = _priors(options, session)
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
             verdict = _guided(guide, session, settings, robot)
@@ -102,12 +116,31 @@ def run(options: Options) -> CommandResult:
         "robot": robot.name,
         "samples": len(samples.measured().samples),
         "accurate": guide.accurate,
+        "exit_distance_m": guide.known.exit_distance,
         "exit_sigma_m": dict(zip(robot.cable_names, guide.known.exit_sigma, strict=True)),
         "exit_points_m": dict(zip(robot.cable_names, guide.known.exit_points, strict=True)),
         "verdict": None if verdict is None else verdict.data(),
     }
     good = guide.accurate and (verdict is None or verdict.holds)
     return CommandResult(data, status=0 if good else 1)
+
+
+def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
+    """Return what is known before, distances included."""
+    distances = [
+        Distance(first=first, second=second, length=length, sigma=sigma)
+        for first, second, length, sigma in options.distance
+    ]
+    for first, second in options.tape:
+        assert session.true_robot is not None
+        one = taped_distance(session.true_robot, first, second, options.seed)
+        print(f"tape: --distance {first} {second} {one.length:.4f} {one.sigma:g}")
+        distances.append(one)
+    return SelfCalibrationSettings(
+        length_at_zero_sigma=options.home_length_prior,
+        drum_radius_sigma=options.radius_prior,
+        distances=tuple(distances),
+    )
 
 
 def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
@@ -130,7 +163,7 @@ def _guided(
     print_sentences(
         [
             f"robot {robot.name}: wanted are exit points to {1e3 * settings.accuracy:.3g} mm "
-            f"(1 sigma), with {settings.max_samples} samples at most; "
+            f"on average, with {settings.max_samples} samples at most; "
             + shown.before(guide.known, len(guide.samples.names))
         ],
         "",
@@ -163,16 +196,17 @@ def _guided(
 
 def _sentences(guide: Guide, session: Session, verdict: Verdict | None) -> list[str]:
     """Return the outcome in words, the verdict last."""
-    largest = 1e3 * float(guide.known.exit_sigma.max())
+    known, largest = 1e3 * guide.known.exit_distance, 1e3 * float(guide.known.exit_sigma.max())
     count = len(guide.samples.measured().samples)
     lines = [
-        f"{count} samples; the exit points are known to {largest:.1f} mm (1 sigma, largest), but "
-        "for a turn of the whole robot about home, which no length tells"
+        f"{count} samples; the exit points are known to {known:.1f} mm on average, the worst to "
+        f"{largest:.1f} mm (1 sigma), but for a turn of the whole robot about home, which no "
+        "length tells"
     ]
     if not guide.accurate:
         lines.append(
             "the wanted accuracy was NOT reached; go on with a larger --max-samples, or measure "
-            "a distance: the scale is known by the lengths at home and the drums only"
+            "a distance (--distance), as the lengths at home and the drums tell the scale poorly"
         )
     return lines + (["no moves were checked"] if verdict is None else verdict.sentences())
 
@@ -190,8 +224,9 @@ def _check_options(options: Options) -> None:
     if simulation and (options.enable or options.settings):
         name = "--enable" if options.enable else "--set"
         raise InvalidField(name, "given", f"not with --driver {SIMULATED}, which is simulated")
-    if not simulation and options.true_robot is not None:
-        raise InvalidField("--true-robot", options.true_robot, f"with --driver {SIMULATED} only")
+    for name, value in (("--true-robot", options.true_robot), ("--tape", options.tape)):
+        if not simulation and value:
+            raise InvalidField(name, value, f"with --driver {SIMULATED} only")
     if options.driver == "simulator":
         allowed = f"{SIMULATED}, whose robot may differ from its file, or a real driver"
         raise InvalidField("--driver", "'simulator'", allowed)

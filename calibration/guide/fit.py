@@ -78,9 +78,11 @@ def nothing_measured(robot: Robot, settings: SelfCalibrationSettings) -> Knowled
         is_known=np.ones(1, dtype=np.bool_),
     )
     problem = MotorAngleProblem(robot, angles, settings)
+    mean = problem.prior.mean
+    covariance: Array = np.asarray(np.linalg.inv(problem.before(mean).information), np.float64)
     return Knowledge(
-        problem=problem, settings=settings, shared=problem.prior.mean,
-        covariance=problem.prior.covariance, line_sigma=LINE_SIGMA_BEFORE_M,
+        problem=problem, settings=settings, shared=mean, covariance=covariance,
+        line_sigma=LINE_SIGMA_BEFORE_M,
     )  # fmt: skip
 
 
@@ -103,7 +105,7 @@ def refit(before: Knowledge, angles: MotorAngles, position: Array) -> GuideFit:
         covariance: Array = np.asarray(np.linalg.inv(system.information), np.float64)
         line = problem.linearize(shared, position).residual * problem.advantage
         square = system.lengths[:, None] * line**2
-        learnt = problem.size - float(np.trace(covariance @ problem.prior.information))
+        learnt = problem.size - float(np.trace(covariance @ problem.before(shared).information))
         spare = max((problem.robot.n - 3) * len(position) - learnt, 0.0)
         sigma = np.sqrt(
             (LINE_SIGMA_WEIGHT * LINE_SIGMA_BEFORE_M**2 + float(square.sum()))

@@ -90,8 +90,8 @@ class Guide:
 
     @property
     def accurate(self) -> bool:
-        """True once every exit point is as accurate as wanted."""
-        return float(self._known.exit_sigma.max()) <= self._settings.accuracy
+        """True once the exit points are as accurate as wanted."""
+        return self._known.exit_distance <= self._settings.accuracy
 
     def resume(self) -> GuideFit | None:
         """Find where the platform is, and fit the samples of an earlier run.
@@ -247,7 +247,7 @@ class Guide:
 
     def _anywhere(self) -> Array:
         """Return a random position that is safe."""
-        return np.asarray(safe_positions(self._known, self._rng(), self._reach())[0][0])
+        return np.asarray(safe_positions(self._known, self._rng(), self._reach(), edges=0.0)[0][0])
 
     def _rng(self) -> np.random.Generator:
         """Return the source of candidates of this move: the same one after a crash."""

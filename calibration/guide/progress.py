@@ -18,16 +18,17 @@ def header() -> str:
     """Return the two lines above the samples."""
     return (
         f"{'sample':>8}  {'position [m]':^22}  {'spread':>7}  {'predicted to':>12}  "
-        f"{'was off by':>10}  {'exit points, 1 sigma [mm]':<25}\n"
+        f"{'was off by':>10}  {'exit points, 1 sigma [mm]':>25}\n"
         f"{'':>8}  {'x':>6} {'y':>7} {'z':>7}  {'[mm]':>7}  {'[mm]':>12}  {'[mm]':>10}  "
-        f"{'largest':>7} {'median':>7}"
+        f"{'mean':>8} {'largest':>8} {'median':>7}"
     )
 
 
 def line(progress: Progress) -> str:
-    """Return the line of one sample; lengths are of line."""
+    """Return the line of one sample; spread and prediction are of line, the bar is of the mean."""
     sigma = progress.fit.known.exit_sigma
     largest, median = 1e3 * float(sigma.max()), 1e3 * float(np.median(sigma))
+    mean = progress.fit.known.exit_distance
     tension = ""
     if progress.tension is not None:
         low, high = progress.tension.min(), progress.tension.max()
@@ -35,17 +36,16 @@ def line(progress: Progress) -> str:
     remark = f"; {progress.remark}" if progress.remark else ""
     return (
         f"{progress.name:>8}  {_place(progress.position)}  {1e3 * progress.fit.spread:7.2f}  "
-        f"{_surprise(progress.surprise)}  {largest:7.1f} {median:7.1f} "
-        f"{_bar(float(sigma.max()))}{tension}{remark}"
+        f"{_surprise(progress.surprise)}  {1e3 * mean:8.1f} {largest:8.1f} {median:7.1f} "
+        f"{_bar(mean)}{tension}{remark}"
     )
 
 
 def before(known: Knowledge, count: int) -> str:
     """Return what is known at the start."""
-    sigma = 1e3 * known.exit_sigma
     return (
-        f"{count} samples are there already; exit points are known to {sigma.max():.3g} mm "
-        f"(1 sigma, largest), {np.median(sigma):.3g} mm (median)"
+        f"{count} samples are there already; exit points are known to "
+        f"{1e3 * known.exit_distance:.3g} mm on average"
     )
 
 

@@ -13,8 +13,8 @@ class GuideSettings:
     """How a guided robot moves, and when it is done.
 
     Attributes:
-        accuracy: Wanted one standard deviation of every exit point, along its worst direction and
-            without turns of the whole robot about home [m].
+        accuracy: Wanted standard deviation of the exit points, the mean of their distances from
+            the truth, without turns of the whole robot about home [m].
         max_samples: Samples after which the guide gives up, home included.
         checks: Moves that are predicted before they are made.
         speed: Largest speed of the platform [m/s].

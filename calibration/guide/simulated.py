@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.guide.samples import Rest
+from calibration.self_calibration.settings import HOME, Distance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import resolved
@@ -28,6 +29,9 @@ RADIUS_SHARE = 0.01  # of the drum radius
 BUILDUP_SHARE = 0.15  # of the build-up
 STIFFNESS_SHARE = 0.3  # of the stiffness of the cables
 MASS_SHARE = 0.02  # of the mass
+LINE_SIGMA_M = 0.5e-3  # [m] of the line of a drum at each rest: friction, layers, the hand
+TAPE_SIGMA_M = 1e-3  # [m] of a tape
+TAPE_STREAM = 7  # of random numbers, apart from those of the robot
 DRAWS_MAX = 1000
 PULL_TIME_S = 2.0  # [s] in which a person pulls the cables tight
 HAND_SIGMA_SHARE = 0.02  # of the longest cable: how near to a place a hand puts the platform
@@ -68,6 +72,30 @@ def draw_true_robot(robot: Robot, rng: np.random.Generator) -> Robot:
             return drawn
     allowed = f"a robot whose cables are all taut at home; none of {DRAWS_MAX} like it are"
     raise InvalidField("robot", robot.name, allowed)
+
+
+def taped_distance(robot: Robot, first: str, second: str, seed: int) -> Distance:
+    """Measure the distance between two exit points, or one and home, with a tape.
+
+    Args:
+        robot: The true one.
+        first: Name of a cable, or ``home``.
+        second: The same.
+        seed: Of the error of the tape; the same seed reads the same.
+
+    Raises:
+        InvalidField: No such cable.
+    """
+    ends = []
+    for name in (first, second):
+        if name not in (*robot.cable_names, HOME):
+            allowed = f"one of {list(robot.cable_names)}, or {HOME!r}"
+            raise InvalidField("--tape", repr(name), allowed)
+        row = robot.cable_names.index(name) if name != HOME else None
+        ends.append(robot.home_position if row is None else robot.exit_points[row])
+    error = TAPE_SIGMA_M * float(np.random.default_rng((seed, TAPE_STREAM)).normal())
+    length = float(np.linalg.norm(ends[0] - ends[1])) + error
+    return Distance(first=first, second=second, length=round(length, 4), sigma=TAPE_SIGMA_M)
 
 
 def taut_tensions(robot: Robot, position: Array) -> Array:
@@ -170,7 +198,8 @@ class SimulatedHand:
         arm = robot.exit_points - robot.home_position
         self._sigma = HAND_SIGMA_SHARE * float(np.linalg.norm(arm, axis=1).max())
         sensors = resolved(SensorSettings(), Scales(robot).ratios)
-        self._length_noise, self._tension_noise = sensors.encoder_noise, sensors.tension_noise
+        self._length_noise = LINE_SIGMA_M / drums_of(robot).advantage
+        self._tension_noise = sensors.tension_noise
         self.position = np.array(robot.home_position)
         home = taut_lengths(true_robot, self.position[None])[0]
         self._drums = MisjudgedDrums(robot, true_robot, home)

@@ -10,6 +10,7 @@ from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import whiten
+from calibration.self_calibration.verdict import mean_distance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.drum import drums_of
 
@@ -64,6 +65,11 @@ class Knowledge:
         turned = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(3)], axis=1)
         directions, size, _ = np.linalg.svd(turned)
         return np.asarray(directions[:, int((size > 1e-9 * size[0]).sum()) :])
+
+    @property
+    def exit_distance(self) -> float:
+        """Root mean square distance of an exit point from the truth, averaged over them [m]."""
+        return mean_distance(self.exit_covariance)
 
     def volume(self, covariance: Array) -> Array:
         """Return the log of the squared volume of exit points' covariances, shape (C,).

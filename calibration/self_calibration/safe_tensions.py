@@ -13,7 +13,7 @@ from carosac_toolkit.robot.robot import Robot
 
 GEOMETRY_DRAWS = 10  # robots drawn from what is known, all of which must be able to rest there
 HOLD_WEIGHTS = 0.5  # of the weight: tension above its lower limit that keeps a cable taut
-CEILING_WEIGHTS = 5.0  # of the weight: tension above its lower limit beyond which stretch is large
+CEILING_WEIGHTS = 3.0  # of the weight: tension above its lower limit beyond which stretch is large
 RESERVE_SHARE = 0.25  # of the range of tensions: kept between those used on purpose and the limit
 
 

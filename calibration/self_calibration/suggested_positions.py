@@ -22,7 +22,7 @@ from calibration.self_calibration.safe_tensions import safe_margin, tension_erro
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 
-CANDIDATE_POSITIONS = 300
+CANDIDATE_POSITIONS = 600
 SUGGESTED_POSITIONS_MAX = 40
 EDGE_CANDIDATES_SHARE = 0.5  # share of the candidates that lie on the edges of the workspace box
 TENTATIVE_SHARE = 0.1  # of the candidates: the safest ones, where none is safe for sure
@@ -129,7 +129,11 @@ def most_informative(known: Knowledge, where: Array, count: int) -> tuple[list[i
 
 
 def safe_positions(
-    known: Knowledge, rng: np.random.Generator, reach: Reach | None = None
+    known: Knowledge,
+    rng: np.random.Generator,
+    reach: Reach | None = None,
+    *,
+    edges: float = EDGE_CANDIDATES_SHARE,
 ) -> tuple[Array, Array]:
     """Draw positions that are safe to reach on a straight line.
 
@@ -137,6 +141,7 @@ def safe_positions(
         known: Present knowledge.
         rng: Source of candidates and of the robots that are likely.
         reach: Part of the workspace to draw from; None: all of it, starting at home.
+        edges: Share of the candidates that lie on the edges of the workspace box [1].
 
     Returns:
         Positions [m], shape (C, 3), and their margins [N], shape (C,).
@@ -146,7 +151,7 @@ def safe_positions(
     """
     robot = known.problem.robot
     area = reach or Reach(start=robot.home_position, visited=robot.home_position[None])
-    where = _candidates(known.problem, area, rng)
+    where = _candidates(known.problem, area, rng, edges)
     ways = area.start + np.array(PATH_SHARES)[:, None, None] * (where - area.start)
     margin = safe_margin(known, ways.reshape(-1, 3), rng).reshape(len(PATH_SHARES), -1)
     worst = margin.min(axis=0)
@@ -171,14 +176,16 @@ def safe_positions(
     return where[good], worst[good]
 
 
-def _candidates(problem: MotorAngleProblem, area: Reach, rng: np.random.Generator) -> Array:
-    """Draw positions from the workspace box, half of them on its edges [m], shape (C, 3).
+def _candidates(
+    problem: MotorAngleProblem, area: Reach, rng: np.random.Generator, edges: float
+) -> Array:
+    """Draw positions from the workspace box, some of them on its edges [m], shape (C, 3).
 
     Those out of reach are drawn towards a visited place.
     """
     robot = problem.robot
     share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSITIONS, 3))
-    for row in share[: int(EDGE_CANDIDATES_SHARE * CANDIDATE_POSITIONS)]:
+    for row in share[: int(edges * CANDIDATE_POSITIONS)]:
         ends = rng.permutation(3)[:2]
         row[ends] = np.sign(row[ends])
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
