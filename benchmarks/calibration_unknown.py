@@ -21,10 +21,9 @@ from benchmarks.unknown_robots import (
     draw_unknown_robot,
 )
 from calibration import SelfCalibration, calibrate_motor_angles
-from calibration.self_calibration.frame import find_frame
+from calibration.self_calibration.frame import find_frame, mean_distance
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import Trust, equations
-from calibration.self_calibration.verdict import mean_distance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 

@@ -125,14 +125,16 @@ def _result(
     system = equations(problem, shared, position, _cautious(problem, settled))
     lost = ~trust.lengths & ~trust.known
     covariance = frame.covariance(system.information)
-    slope = frame.position_slope(system.by_shared, position)
-    spread = system.position_covariance + slope @ covariance @ slope.swapaxes(1, 2)
+    place = position[:, :3]
+    slope = frame.position_slope(system.by_shared[:, :3], place)
+    spread = system.position_covariance[:, :3, :3] + slope @ covariance @ slope.swapaxes(1, 2)
     each = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
     return SelfCalibration(
         before=problem.robot,
         estimate=_parameters(problem, shared, covariance),
         samples=angles.samples,
-        position=position,
+        position=place,
+        rotation=problem.rotations(position),
         position_sigma=np.where(lost[:, None], np.inf, each),
         residual=problem.linearize(shared, position).residual,
         used=trust.lengths,
@@ -234,10 +236,10 @@ def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut,
         other = fit(problem, settled.fit.shared, settled.fit.position, less)
         sigma = np.sqrt(
             np.diag(_position_covariance(problem, other, less, int(k)))
-            + problem.known_sigma[k] ** 2
+            + problem.known_sigma[k, :3] ** 2
         )
         if (sigma < PREDICTED_SIGMA_MAX_M)[axes].all():
-            error = other.position[k] - angles.known_position[k]
+            error = other.position[k, :3] - angles.known_position[k]
             left_out.append(
                 LeftOut(
                     sample=angles.samples[k],
@@ -253,8 +255,8 @@ def _position_covariance(
 ) -> Array:
     """Return the covariance of one position [m^2], shape (3, 3)."""
     system = equations(problem, solution.shared, solution.position, trust)
-    slope = system.by_shared[row]
-    covariance: Array = system.position_covariance[row] + slope @ np.linalg.solve(
+    slope = system.by_shared[row, :3]
+    covariance: Array = system.position_covariance[row, :3, :3] + slope @ np.linalg.solve(
         system.information, slope.T
     )
     return covariance

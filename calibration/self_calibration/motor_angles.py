@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 
+FLAT_EXTENT_SHARE = 1e-3  # of their extent: known positions that close to a line lie on it
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorAngles:
@@ -81,6 +83,16 @@ class MotorAngles:
         if self.known_axes is None:
             return np.repeat(self.is_known[:, None], 3, axis=1)
         return self.known_axes
+
+    @property
+    def spans_plane(self) -> bool:
+        """Whether at least three positions are known that are not on one line."""
+        complete = self.coordinates_known.all(axis=1)
+        known = self.known_position[complete]
+        if len(known) < 3:
+            return False
+        extent = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
+        return bool(extent[1] >= FLAT_EXTENT_SHARE * extent[0])
 
     def index(self, sample: str) -> int:
         """Return the place of a sample.

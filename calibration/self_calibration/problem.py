@@ -27,15 +27,21 @@ from calibration.linear_samples import LinearSamples
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.reference import tied_to_home
+from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
 from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector, left_jacobian
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
+POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
+POSITION_PRIOR_FACTOR = (
+    20.0  # times the longest cable: one standard deviation of a position before any data
+)
+TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
 ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
@@ -58,6 +64,10 @@ class Before:
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
+    A platform whose cables end apart turns as it moves. Where known positions do not settle its
+    place, and lengths are to spare for it, so its rotation is unknown as well: the position of each
+    sample is followed by a rotation vector, from home's rotation [rad].
+
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
     for each group of alike drums, the lengths at the reference (n), and, where tensions are
     measured, the error of the compliance 1 / EA of each group of alike cables, as a share of it.
@@ -71,10 +81,14 @@ class MotorAngleProblem:
         compliances: Place of the error of its compliance, shape (n,); empty without tensions.
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
-        known_axes: True for each coordinate that is known, shape (N, 3). Where no sample has some
-            coordinate known, that of the reference is taken to be home's: see `reference`.
-        known_position: Known coordinates [m], shape (N, 3).
-        known_sigma: Of known coordinates [m], shape (N, 3).
+        own: Unknowns of each sample: 3, or 6 with its rotation.
+        keeps_rotation: True if the platform has the rotation that it has at home.
+        reach: One standard deviation of a sample's own unknowns before any data, shape (own,).
+        home: Own unknowns at home, shape (own,).
+        known_axes: True for each own unknown that is known, shape (N, own). Where no sample has
+            some coordinate known, that of the reference is taken to be home's: see `reference`.
+        known_position: Known ones, shape (N, own).
+        known_sigma: One standard deviation of these, shape (N, own).
         is_known: Samples with a known coordinate, shape (N,).
         reference: Sample that is taken to be at home, and in which coordinates, or None.
     """
@@ -110,6 +124,7 @@ class MotorAngleProblem:
         mean = [robot.exit_points.ravel(), np.zeros(self._groups), buildups, length, soft]
         self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
+        self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
             known = angles.coordinates_known
@@ -127,13 +142,17 @@ class MotorAngleProblem:
         )  # fmt: skip
         turned = wound - length
         self.reference = tied_to_home(angles, robot, self.prior, turned)
-        self.known_axes = angles.coordinates_known.copy()
-        self.known_position = angles.known_position.copy()
+        turns = np.zeros((len(angles.samples), self.own - 3))
+        self.known_axes = np.hstack([angles.coordinates_known, turns.astype(np.bool_)])
+        self.known_position = np.hstack([angles.known_position, turns])
+        self.known_sigma = np.hstack([self.known_sigma, turns + TIE_SIGMA_SHARE])
         if self.reference is not None:
             row, axes, sigma = self.reference.row, self.reference.axes, self.reference.sigma
-            self.known_axes[row, axes] = True
-            self.known_position[row, axes] = robot.home_position[axes]
-            self.known_sigma[row, axes] = sigma
+            self.known_axes[row, :3] |= axes
+            self.known_position[row, :3][axes] = robot.home_position[axes]
+            self.known_sigma[row, :3][axes] = sigma
+            # What of the rotation at home is a convention as well; known heights tell the rest.
+            self.known_axes[row, 3:] = [axes.all(), axes.all(), axes[:2].all()][: self.own - 3]
         self.is_known: NDArray[np.bool_] = np.asarray(self.known_axes.any(axis=1))
 
     @property
@@ -220,17 +239,21 @@ class MotorAngleProblem:
 
         Args:
             shared: Shape (m,).
-            position: Of the chosen samples [m], shape (N, 3).
+            position: Own unknowns of the chosen samples, shape (N, own).
             rows: Chosen samples.
         """
         straight, direction = self.straight(shared, position)
+        by_own = -direction
+        if self.own == 6:
+            moment = np.cross(self._arms(position), direction)
+            by_own = np.concatenate([by_own, -moment @ left_jacobian(position[:, 3:])], axis=2)
         by_shared = self.wound_slope(shared, rows)
         for i in range(self.robot.n):
             by_shared[:, i, self.exits[i]] = direction[:, i]
         return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
-            by_own=-direction,
+            by_own=by_own,
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
@@ -292,11 +315,38 @@ class MotorAngleProblem:
         """
         exits, count = shared[self.exits], len(position)
         n = len(exits)
-        moved = (position - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
-        cables = straight_length(self.robot, moved)
+        moved = (position[:, :3] - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
+        rotation = np.tile(self.rotations(position), (n, 1, 1)) if self.own == 6 else None
+        cables = straight_length(self.robot, moved, rotation)
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
         return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
+
+    def rotations(self, position: Array) -> Array:
+        """Return the rotations from P to W of own unknowns (N, own), shape (N, 3, 3)."""
+        home = self.robot.home_rotation
+        if self.own == 3:
+            return np.tile(home, (len(position), 1, 1))
+        return np.asarray(from_rotation_vector(position[:, 3:]) @ home)
+
+    def _arms(self, position: Array) -> Array:
+        """Return the anchor points from the platform's origin, in W [m], shape (N, n, 3)."""
+        turn = from_rotation_vector(position[:, 3:])
+        return np.asarray(self.offsets @ turn.swapaxes(1, 2))
+
+    def _set_own(self) -> None:
+        """Decide whether the rotation of each sample is unknown."""
+        offsets = self.offsets
+        apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
+        self.keeps_rotation = (
+            self.settings.keeps_rotation
+            or self.angles.spans_plane
+            or apart < POINT_LIKE_SHARE * self.longest
+        )
+        self.own = 3 if self.keeps_rotation or self.robot.n <= 6 else 6
+        far = POSITION_PRIOR_FACTOR * self.longest
+        self.reach = np.array([far] * 3 + [TURN_PRIOR_RAD] * 3)[: self.own]
+        self.home = np.concatenate([self.robot.home_position, np.zeros(3)])[: self.own]
 
     def _at_rest(self, length: Array) -> Array:
         """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""

@@ -58,6 +58,7 @@ class SelfCalibration(CalibrationResult):
     Attributes:
         samples: Names.
         position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3): home's unless lengths tell it.
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
@@ -79,6 +80,7 @@ class SelfCalibration(CalibrationResult):
 
     samples: tuple[str, ...]
     position: Array
+    rotation: Array
     position_sigma: Array
     residual: Array
     used: NDArray[np.bool_]

@@ -63,6 +63,7 @@ def measure_motor_angles(
     *,
     blunders: Mapping[tuple[int, int], float] | None = None,
     tension: Array | None = None,
+    rotation: Array | None = None,
 ) -> MotorAngles:
     """Simulate what the motors of a robot show.
 
@@ -74,13 +75,14 @@ def measure_motor_angles(
         rng: Generator.
         tension: With which the motors hold the cables [N], shape (N, n); None: cables are stiff,
             and no tensions are measured.
+        rotation: From P to W, shape (N, 3, 3); None: home's.
         blunders: Line that got lost [m], by sample and cable, such as a cable off its pulley.
 
     Returns:
         Motor angles; sample 0 is at angle 0 but for noise.
     """
     drums = drums_of(robot)
-    length = inverse_kinematics(robot, position)
+    length = inverse_kinematics(robot, position, rotation)
     if tension is not None:
         friction = 1.0 + rng.uniform(-noise.friction, noise.friction, length.shape)
         strain = tension * friction / robot.axial_stiffness

@@ -8,11 +8,10 @@ import numpy as np
 
 from calibration.observability import Unobservable, judge
 from calibration.self_calibration.blunder_tests import SettledFit
-from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.frame import Frame, mean_distance
 from calibration.self_calibration.knowledge import Knowledge
-from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.problem import POINT_LIKE_SHARE, MotorAngleProblem
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
-from calibration.self_calibration.starting_points import places_known
 from calibration.self_calibration.suggested_positions import most_informative
 from carosac_toolkit.base.arrays import Array
 
@@ -25,7 +24,6 @@ MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that wel
 OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
 NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
-POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
@@ -64,20 +62,15 @@ def check_rotation(problem: MotorAngleProblem) -> None:
     """
     offsets = problem.offsets
     apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
-    held = problem.settings.keeps_rotation or places_known(problem)
-    if held or apart < POINT_LIKE_SHARE * problem.longest:
+    if problem.keeps_rotation or problem.own == 6:
         return
-    n = problem.robot.n
-    spare = (
-        f"lengths of {n} cables have nothing to spare for its rotation"
-        if n <= 6
-        else f"{n - 6} lengths to spare at each position are not used yet"
-    )
     raise Unobservable(
         f"the cables end up to {apart:.2g} m apart on the platform, which turns as it moves, and "
-        f"{spare}. Allowed: cables that end within {POINT_LIKE_SHARE * problem.longest:.2g} m of "
-        "each other; three known positions or more, not on one line; a recording of rests with an "
-        "AHRS, swivel angles or load cells; or a platform that is built to keep its rotation "
+        f"lengths of {problem.robot.n} cables have nothing to spare for its rotation. Allowed: "
+        "seven cables or more; cables that end within "
+        f"{POINT_LIKE_SHARE * problem.longest:.2g} m of each other; three known positions or "
+        "more, not on one line; a recording of rests with an AHRS, swivel angles or load cells; or "
+        "a platform that is built to keep its rotation "
         "(keeps_rotation in the settings, --keeps-rotation)"
     )
 
@@ -217,11 +210,11 @@ def _reason(
     problem: MotorAngleProblem, solution: SampleFit, trust: Trust, free: str, loose: float
 ) -> str:
     """Explain why the exit points stay free, and what would help."""
-    count, spare = len(problem.angles.samples), problem.robot.n - 3
+    count, spare = len(problem.angles.samples), problem.robot.n - problem.own
     unknown = problem.size - 6
     if misfits(problem, trust):
         why = misfits(problem, trust)
-    elif places_known(problem):
+    elif problem.angles.spans_plane:
         why = f"{count} samples are too few, or too close together."
     elif spare == 0:
         why = (
@@ -248,7 +241,7 @@ def _reason(
 
 def _thin(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> str:
     """Explain in which direction the samples do not spread; empty if they do."""
-    place = solution.position[trust.lengths]
+    place = solution.position[trust.lengths, :3]
     _, size, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
     extent = size / np.sqrt(len(place))
     if extent[2] > FLAT_SHARE * extent[0]:
@@ -317,11 +310,6 @@ def warnings_of(
     return tuple(lines)
 
 
-def mean_distance(exits: Array) -> float:
-    """Return the root mean square distance of each exit point from the truth, averaged [m]."""
-    return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
-
-
 def _rival_words(rival: Rival) -> str:
     """Describe another solution that is as good."""
     if rival.mirrored:
@@ -344,8 +332,9 @@ def _one_mirrored(problem: MotorAngleProblem, settled: SettledFit) -> list[Sampl
     Samples in a plane cannot tell the sides of it, cable by cable.
     """
     best, used = settled.fit, settled.trust.lengths
-    middle = best.position[used].mean(axis=0)
-    normal = np.linalg.svd(best.position[used] - middle, full_matrices=False)[2][2]
+    place = best.position[used, :3]
+    middle = place.mean(axis=0)
+    normal = np.linalg.svd(place - middle, full_matrices=False)[2][2]
     starts = []
     for cable, point in enumerate(problem.points(best.shared)):
         shared = best.shared.copy()
@@ -355,7 +344,12 @@ def _one_mirrored(problem: MotorAngleProblem, settled: SettledFit) -> list[Sampl
 
 
 def _mirrored(problem: MotorAngleProblem, other: SampleFit, best: SampleFit, trust: Trust) -> bool:
-    """Return whether a solution is the mirror image of the other one."""
+    """Return whether a solution is the mirror image of the other one.
+
+    A platform that turns has none: its anchor points are not mirrored.
+    """
+    if problem.own == 6:
+        return False
     both = [
         np.vstack([problem.points(one.shared), one.position[trust.lengths]])
         for one in (other, best)
@@ -370,7 +364,7 @@ def _mirrored(problem: MotorAngleProblem, other: SampleFit, best: SampleFit, tru
 def _outside(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> float:
     """Return the RMS distance of positions from the workspace over the workspace's diagonal."""
     low, high = problem.robot.workspace_min, problem.robot.workspace_max
-    place = solution.position[trust.lengths]
+    place = solution.position[trust.lengths, :3]
     out = np.maximum(low - place, 0.0) + np.maximum(place - high, 0.0)
     diagonal = float(np.linalg.norm(high - low))
     return float(np.sqrt((out**2).sum(axis=1).mean()) / diagonal)

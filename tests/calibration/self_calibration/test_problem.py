@@ -8,6 +8,7 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
 from tests.robots import eight_cable_robot, with_pulleys
@@ -36,7 +37,7 @@ def rotated_problem(soft=False):
     place[0] = robot.home_position
     tension = rng.uniform(5.0, 50.0, (5, 8)) if soft else None
     angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng, tension=tension)
-    return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
+    return MotorAngleProblem(robot, angles, SelfCalibrationSettings(keeps_rotation=True)), place
 
 
 @pytest.mark.parametrize("soft", [False, True])
@@ -133,3 +134,25 @@ def test_lengths_measured_by_hand_are_where_the_search_starts():
     assert problem.prior.mean[problem.zeros] == pytest.approx([1.6, 1.8, 1.5, 2.4])
     assert problem.prior.sigma[problem.zeros] == pytest.approx(0.02)
     assert problem.longest == 2.4
+
+
+def test_derivatives_by_a_free_rotation_agree_with_finite_differences():
+    robot = rotated_robot()
+    rng = np.random.default_rng(7)
+    place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
+    place[0] = robot.home_position
+    turns = rng.normal(0.0, 0.3, (5, 3))
+    turns[0] = 0.0
+    rotation = from_rotation_vector(turns) @ robot.home_rotation
+    angles = measure_motor_angles(robot, place, np.arange(0), SILENT, rng, rotation=rotation)
+    problem = MotorAngleProblem(robot, angles, SelfCalibrationSettings())
+    assert problem.own == 6
+    own = np.hstack([place, turns])
+    linear = problem.linearize(problem.prior.mean, own)
+    assert linear.residual == pytest.approx(0.0, abs=1e-12)
+    assert problem.rotations(own) == pytest.approx(rotation, abs=1e-15)
+    for k in range(6):
+        away = 1e-6 * np.eye(6)[k]
+        ends = [problem.linearize(problem.prior.mean, own + s * away).residual for s in (1, -1)]
+        slope = (ends[0] - ends[1]) / 2e-6
+        assert linear.by_own[:, :, k] == pytest.approx(slope, abs=1e-7)

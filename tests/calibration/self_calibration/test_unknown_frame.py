@@ -14,8 +14,10 @@ from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
 from tests.calibration.self_calibration.test_calibrate import SILENT, exits
+from tests.robots import eight_cable_robot
 
 SPAN = float(np.linalg.norm(EXITS[0] - EXITS[1]))
 TAPE = Distance(first="a", second="b", length=SPAN, sigma=1e-5)
@@ -369,6 +371,48 @@ def test_friction_in_the_tensions_is_noise_that_is_known():
         result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=2e-4))
         squares.append(frame_nees(result, truth))
     low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def rigid_scene(seed, count=60, line=1e-4):
+    """Eight cables to a box that turns by some 15 degrees per axis."""
+    rng = np.random.default_rng(seed)
+    robot = eight_cable_robot()
+    drums = {
+        "drum_radius": np.full(8, 0.08), "drum_buildup": np.full(8, 1e-5),
+        "drum_gear": np.full(8, 10.0), "drum_advantage": np.ones(8),
+    }  # fmt: skip
+    truth = replace(robot, **drums)
+    guess = robot.exit_points + rng.normal(0.0, 0.1, (8, 3))
+    before = loose(replace(truth, exit_points=guess), 0.1)
+    place = rng.uniform(robot.workspace_min, robot.workspace_max, (count, 3))
+    turns = rng.normal(0.0, 0.25, (count, 3))
+    place[0], turns[0] = robot.home_position, 0.0
+    rotation = from_rotation_vector(turns) @ robot.home_rotation
+    noise = MeasurementNoise(line=line)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, rotation=rotation)
+    return before, truth, place, rotation, angles
+
+
+def test_eight_cables_tell_the_rotations_of_a_platform_too():
+    squares = []
+    for seed in range(4):
+        before, truth, place, rotation, angles = rigid_scene(seed)
+        span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
+        tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
+        settings = SelfCalibrationSettings(
+            line_sigma=1e-4, length_at_zero_sigma=0.1, distances=(tape,)
+        )
+        result = calibrate_motor_angles(angles, before, settings)
+        assert result.warnings == ()
+        error = result.estimate.value[:24] - truth.exit_points.ravel()
+        covariance = result.estimate.covariance[:24, :24]
+        squares.append(float(error @ np.linalg.solve(covariance, error)))
+        turned = np.linalg.norm(result.rotation - rotation, axis=(1, 2))
+        assert turned.max() < 0.03
+        assert np.abs((result.position - place)[1:] / result.position_sigma[1:]).max() < 5.0
+        assert result.frame.free.shape[1] == 0  # home fixes the turns as well
+    low, high = chi2.ppf([0.005, 0.995], 24 * len(squares))
     assert low < sum(squares) < high
 
 
