@@ -55,9 +55,8 @@ def find_scale(problem: MotorAngleProblem, shared: Array, covariance: Array, tru
     ]
     known = problem.angles.coordinates_known & trust.known[:, None]
     weight = known / problem.known_sigma[:, :3] ** 2
-    middle = (weight * problem.known_position[:, :3]).sum(axis=0) / np.maximum(
-        weight.sum(axis=0), 1e-12
-    )
+    place = problem.known_position[:, :3]
+    middle = (weight * place).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
     information = {
         "measured distances": sum((d.length / d.sigma) ** 2 for d in settings.distances),
         "lengths at home": ((shared[problem.zeros] / sigma[problem.zeros]) ** 2).sum(),
