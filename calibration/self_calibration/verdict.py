@@ -180,11 +180,14 @@ def next_positions(
     sides = [np.linspace(*ends, GRID_POINTS) for ends in zip(
         robot.workspace_min, robot.workspace_max, strict=True)]  # fmt: skip
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Candidates have home's rotation and no tensions: the compliances, the last unknowns, are out.
+    settings = replace(problem.settings, x_through=None, keeps_rotation=True)
+    plain = MotorAngleProblem(robot, replace(problem.angles, tension=None), settings)
     known = Knowledge(
-        problem=problem,
-        settings=replace(problem.settings, x_through=None),
-        shared=shared,
-        covariance=covariance,
+        problem=plain,
+        settings=settings,
+        shared=shared[: plain.size],
+        covariance=covariance[: plain.size, : plain.size],
         line_sigma=line_sigma,
     )
     chosen, _ = most_informative(known, grid, NEXT_POSITIONS)

@@ -361,6 +361,9 @@ def test_measured_tensions_take_the_stretch_out():
     found = result.estimate.value[rows] / truth.axial_stiffness
     assert found == pytest.approx(1.0, abs=0.1)
     assert "stretch by the measured tensions" in " ".join(result.sentences())
+    wanted = replace(tape, accuracy=1e-5)
+    (warning,) = calibrate_motor_angles(angles, before, wanted).warnings
+    assert "samples near (" in warning
     assert result.robot.axial_stiffness == pytest.approx(result.estimate.value[rows])
 
 
@@ -412,6 +415,8 @@ def test_eight_cables_tell_the_rotations_of_a_platform_too():
         assert turned.max() < 0.03
         assert np.abs((result.position - place)[1:] / result.position_sigma[1:]).max() < 5.0
         assert result.frame.free.shape[1] == 0  # home fixes the turns as well
+    (warning,) = calibrate_motor_angles(angles, before, replace(settings, accuracy=1e-5)).warnings
+    assert "samples near (" in warning
     low, high = chi2.ppf([0.005, 0.995], 24 * len(squares))
     assert low < sum(squares) < high
 
