@@ -116,6 +116,7 @@ class SelfCalibration(CalibrationResult):
             "robot": self.before.name,
             "positions_m": {name: place for name, place, _, _ in each},
             "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
+            "rotations": dict(zip(self.samples, self.rotation, strict=True)),
             "residuals_m": {name: miss for name, _, _, miss in each},
             "residual_rms_m": self.residual_rms,
             "line_residual_rms_m": self.line_residual_rms,
