@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.result import CalibrationResult
 from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.rivals import OUTSIDE_SHARE, Rival
 from calibration.self_calibration.scale import Scale
-from calibration.self_calibration.verdict import OUTSIDE_SHARE, Rival
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameter_names import field_of
 
