@@ -21,15 +21,15 @@ from benchmarks.unknown_robots import (
     draw_unknown_robot,
 )
 from calibration import SelfCalibration, calibrate_motor_angles
-from calibration.self_calibration.frame import find_frame
+from calibration.self_calibration.frame import find_frame, mean_distance
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import Trust, equations
-from calibration.self_calibration.verdict import mean_distance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
 COMMAND = "python -m benchmarks.calibration_unknown"
 ROBOTS = 200
+CABLES = (4, 5, 6, 7, 8)
 UNDETERMINED = 40
 SIZE_M = 3.0  # of the frame for which errors are stated
 ACCURACY_M = 10e-3  # wanted of the exit points of a frame of that size
@@ -106,15 +106,17 @@ def turned(points: Array, towards: Array) -> Array:
 def frame_nees(result: SelfCalibration, case: UnknownRobot) -> tuple[float, int]:
     """Return the squared error of the exit points, in standard deviations, and its freedoms.
 
-    The truth is brought into the frame of convention: home at the origin, turned to fit the exit
-    points known before. The three turns, which that takes away, have no variance.
+    The truth is brought into the frame of convention: home at the origin, and for point-like
+    movers turned to fit the exit points known before. The three turns that this takes away have no
+    variance.
     """
     k = case.exit_points.size
-    truth = turned(case.exit_points, case.before.exit_points)
+    free = result.frame.free.shape[1]
+    truth = turned(case.exit_points, case.before.exit_points) if free else case.exit_points
     error = result.estimate.value[:k] - truth.ravel()
     variance, axes = np.linalg.eigh(result.estimate.covariance[:k, :k])
     along = axes.T @ error
-    return float((along[3:] ** 2 / variance[3:]).sum()), k - 3
+    return float((along[free:] ** 2 / variance[free:]).sum()), k - free
 
 
 def expected_at_truth(case: UnknownRobot) -> float:
@@ -122,7 +124,7 @@ def expected_at_truth(case: UnknownRobot) -> float:
     problem = MotorAngleProblem(case.before, case.angles, case.settings)
     shared = problem.prior.mean.copy()
     shared[problem.exits] = case.exit_points
-    shared[problem.zeros] = np.linalg.norm(case.exit_points, axis=1)
+    shared[problem.zeros] = np.linalg.norm(case.exit_points - problem.offsets, axis=1)
     stretch = FRICTION_SHARE / np.sqrt(3.0) * TENSION_N / STIFFNESS_N * shared[problem.zeros].mean()
     trust = Trust(
         line_sigma=float(np.hypot(LINE_SIGMA_M, stretch)),
@@ -138,6 +140,10 @@ def expected_at_truth(case: UnknownRobot) -> float:
 
 def rows_of(outcomes: Sequence[Outcome], bad: Sequence[tuple[str, Outcome]]) -> list[list[str]]:
     """Return the table."""
+    kept = {n: [one for one in outcomes if one.cables == n] for n in CABLES}
+    each = ", ".join(
+        f"{n}: {sum(one.accepted for one in those)} of {len(those)}" for n, those in kept.items()
+    )
     accepted = [one for one in outcomes if one.accepted]
     error = 1e3 * np.array([one.error for one in accepted])
     nees = sum(one.nees for one in accepted)
@@ -151,6 +157,7 @@ def rows_of(outcomes: Sequence[Outcome], bad: Sequence[tuple[str, Outcome]]) -> 
     return [
         ["robots; accepted, neither refused nor warned of", "reported",
          f"{len(outcomes)}; {len(accepted)}"],
+        ["accepted, by number of cables", "reported", each],
         ["mean error of the exit points, median over accepted robots", "5 mm",
          f"{np.median(error):.2f} mm"],
         ["the same, 95 % of them", "10 mm", f"{np.percentile(error, 95):.2f} mm"],
@@ -168,13 +175,18 @@ def rows_of(outcomes: Sequence[Outcome], bad: Sequence[tuple[str, Outcome]]) -> 
 
 def main(count: int = ROBOTS) -> None:
     """Measure and write."""
-    outcomes = [
-        calibrate(draw_unknown_robot(np.random.default_rng([SEED, k]))) for k in range(count)
-    ]
-    bad = []
+    outcomes, bad = [], []
+    for k in range(count):
+        case = draw_unknown_robot(np.random.default_rng([SEED, k]), cables=CABLES[k % len(CABLES)])
+        outcomes.append(calibrate(case))
+    kinds = SAMPLINGS[1:]
     for k in range(UNDETERMINED * count // ROBOTS):
-        kind = SAMPLINGS[1 + k % (len(SAMPLINGS) - 1)]
-        case = draw_unknown_robot(np.random.default_rng([SEED, 1, k]), sampling=kind)
+        kind = kinds[k % len(kinds)]
+        case = draw_unknown_robot(
+            np.random.default_rng([SEED, 1, k]),
+            cables=CABLES[k // len(kinds) % len(CABLES)],
+            sampling=kind,
+        )
         bad.append((kind, calibrate(case)))
     for one in [*outcomes, *(outcome for _, outcome in bad)]:
         print(

@@ -1,10 +1,10 @@
-"""Simulated point-like robots that nobody measured, for the calibration without known positions.
+"""Simulated robots that nobody measured, for the calibration without known positions.
 
-Frames of 1 to 10 m with 4 to 6 cables: three low exit points and one above them as on a
-Hangprinter, or corners of a box. Motors hold the lines with a constant torque while the mover is
-put to its places by hand: lines stretch by a stiffness that is known to 30 %, friction adds up to
-10 % to a tension or takes it away, drums and their build-up are not quite as they are thought to
-be, and some readings are blunders.
+Frames of 1 to 10 m. Point-like movers on 4 to 6 cables: three low exit points and one above them as
+on a Hangprinter, or corners of a box; boxes that turn on 7 or 8 cables. Motors hold the lines with
+a constant torque while the platform is put to its places by hand: lines stretch by a stiffness that
+is known to 30 %, friction adds up to 10 % to a tension or takes it away, drums and their build-up
+are not quite as they are thought to be, and some readings are blunders.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ import carosac_toolkit as ct
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.physics.cable.drum import Drums
 from carosac_toolkit.robot.robot import Robot
 
 EXIT_SIGMA_SHARE = 0.1  # of the frame's size, per axis: exit points are known that well before
 RADIUS_SHARE = 0.01  # 1 sigma of the drums' radius
 BUILDUP_SHARE = 0.2  # 1 sigma of the build-up
+TURN_SIGMA_RAD = 0.25  # per axis, of platforms on seven cables or more
+PLATFORM_SHARE = 0.12  # side of such a platform over the frame's size
 STIFFNESS_SHARE = 0.3  # 1 sigma of the lines' stiffness
 FRICTION_SHARE = 0.1  # largest error of a tension by friction
 TENSION_N = 20.0  # that the motors hold
@@ -49,7 +52,8 @@ class UnknownRobot:
         settings: What else is known.
         angles: Samples without any known position; the first is at home.
         exit_points: True ones [m], shape (n, 3).
-        position: True positions [m], shape (N, 3).
+        position: True own unknowns of the samples: positions [m], and rotation vectors from home
+            [rad] of platforms on seven cables or more, shape (N, 3) or (N, 6).
         size: Of the frame, its longest side [m].
         blunders: Names of the samples with a blunder.
     """
@@ -64,18 +68,19 @@ class UnknownRobot:
 
 
 def draw_unknown_robot(
-    rng: np.random.Generator, *, samples: int = 40, sampling: str = "spread"
+    rng: np.random.Generator, *, cables: int, samples: int = 40, sampling: str = "spread"
 ) -> UnknownRobot:
     """Draw a robot and its samples.
 
     Args:
         rng: Generator.
+        cables: 4 to 8.
         samples: Number of samples.
         sampling: ``spread`` over the workspace, or too little: in a ``plane``, in a small
             ``cluster``, along a ``line``, or ``few`` samples.
     """
-    size, exits, low, high = _frame(rng)
-    n = len(exits)
+    size, exits, low, high = _frame(rng, cables)
+    n = cables
     home = np.array([*(0.5 * (low + high))[:2], low[2]]) + rng.normal(0.0, 0.02 * size, 3)
     exits, low, high = exits - home, low - home, high - home
     position = _sampled(rng, low, high, samples, sampling)
@@ -86,9 +91,17 @@ def draw_unknown_robot(
         radius = radius * rng.uniform(0.95, 1.05, n)
         wrong, gear = rng.normal(0.0, RADIUS_SHARE, n), GEAR + np.arange(n)
     guess = exits + rng.normal(0.0, EXIT_SIGMA_SHARE * size, exits.shape)
-    before = replace(_robot(guess, radius, buildup, low, high, size), drum_gear=gear)
+    anchors = _anchors(n, size)
+    before = replace(
+        _robot(guess, radius, buildup, low, high, size), drum_gear=gear, anchor_points=anchors
+    )
+    arms = anchors[None]
+    if n > 6:
+        turns = rng.normal(0.0, TURN_SIGMA_RAD, position.shape)
+        turns[0] = 0.0
+        arms = anchors @ from_rotation_vector(turns).swapaxes(1, 2)
     true_buildup = buildup * (1.0 + BUILDUP_SHARE * rng.normal())
-    length = np.linalg.norm(position[:, None] - exits, axis=2)
+    length = np.linalg.norm(position[:, None] + arms - exits, axis=2)
     drums = Drums(
         radius=np.sqrt((radius * (1.0 + wrong)) ** 2 + true_buildup * length[0]),
         buildup=np.full(n, true_buildup),
@@ -121,15 +134,14 @@ def draw_unknown_robot(
             is_known=np.zeros(len(names), dtype=np.bool_),
         ),
         exit_points=exits,
-        position=position,
+        position=np.hstack([position, turns]) if n > 6 else position,
         size=size,
         blunders=frozenset(names[row] for row in bad),
     )
 
 
-def _frame(rng: np.random.Generator) -> tuple[float, Array, Array, Array]:
+def _frame(rng: np.random.Generator, n: int) -> tuple[float, Array, Array, Array]:
     """Draw a frame: its size, exit points (n, 3), and the corners of its workspace [m]."""
-    n = int(rng.integers(4, 7))
     size = float(np.exp(rng.uniform(0.0, np.log(10.0))))
     width, depth, height = size, size * rng.uniform(0.6, 1.0), size * rng.uniform(0.4, 1.0)
     if n == 4 and rng.random() < 0.5:
@@ -144,11 +156,25 @@ def _frame(rng: np.random.Generator) -> tuple[float, Array, Array, Array]:
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         up = np.column_stack([corners, np.full(4, 2.0)])
         down = [[-1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]
-        unit = {4: up, 5: np.vstack([up, down[:1]]), 6: np.vstack([up[:3], down])}[n]
+        floor = np.column_stack([corners, np.zeros(4)])
+        unit = {4: up, 5: np.vstack([up, down[:1]]), 6: np.vstack([up[:3], down])}.get(
+            n, np.vstack([up, floor])[:n]
+        )
         exits = unit * [0.5 * width, 0.5 * depth, 0.5 * height]
     low = np.array([-0.35 * width, -0.35 * depth, 0.05 * height])
     high = np.array([0.35 * width, 0.35 * depth, 0.7 * height])
     return size, exits + rng.normal(0.0, 0.03 * size, exits.shape), low, high
+
+
+def _anchors(n: int, size: float) -> Array:
+    """Return the anchor points [m], shape (n, 3): nearly one point, or the corners of a box."""
+    if n <= 6:
+        return 1e-6 * np.arange(3 * n).reshape(n, 3)
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    low = np.column_stack([np.roll(corners, -1, axis=0), np.full(4, -1.0)])
+    high = np.column_stack([np.roll(corners, 1, axis=0), np.full(4, 1.0)])
+    box = 0.5 * PLATFORM_SHARE * size * np.array([1.0, 0.8, 0.7])
+    return np.asarray((np.vstack([low, high]) * box)[:n])
 
 
 def _sampled(rng: np.random.Generator, low: Array, high: Array, count: int, sampling: str) -> Array:
@@ -180,10 +206,10 @@ def _robot(
         **fields
         | {
             "name": "unknown",
-            "cable_names": tuple("abcdef"[:n]),
+            "cable_names": tuple("abcdefgh"[:n]),
             "exit_points": exits,
             "exit_covariance": np.tile((EXIT_SIGMA_SHARE * size) ** 2 * np.eye(3), (n, 1, 1)),
-            "anchor_points": 1e-6 * np.arange(3 * n).reshape(n, 3),
+            "anchor_points": np.zeros((n, 3)),
             "length_max": np.full(n, 10.0 * size),
             "drum_radius": np.sqrt(radius**2 + buildup * np.linalg.norm(exits, axis=1)),
             "drum_buildup": np.full(n, buildup),

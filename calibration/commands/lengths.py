@@ -66,6 +66,7 @@ MOTOR_ANGLE_OPTIONS = (
     "distance",
     "x_through",
     "accuracy",
+    "keeps_rotation",
     "home_length_prior",
     "radius_prior",
 )  # options that count
@@ -109,6 +110,9 @@ class Options(CommonOptions):
     accuracy: float | None = None
     """Motor angles: wanted standard deviation of the exit points [m]; a warning says if it is not
     reached."""
+    keeps_rotation: bool = False
+    """Motor angles without known positions: the platform is built to keep its rotation, though its
+    cables end apart from each other."""
     home_length_prior: float = SelfCalibrationSettings.length_at_zero_sigma
     """Motor angles: standard deviation of the lengths at home in the robot file [m]."""
     radius_prior: float = SelfCalibrationSettings.drum_radius_sigma

@@ -17,10 +17,10 @@ from calibration.robust import cauchy
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import (
     CAUCHY_SIGMAS,
-    POSITION_PRIOR_FACTOR,
     free_lengths,
 )
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_rotation_vector, left_jacobian
 
 STARTS = 96
 SAMPLES_MAX = 60  # that the starts are fitted to
@@ -37,7 +37,7 @@ class Starts:
 
     Attributes:
         shared: Shape (K, m).
-        position: Of the samples that were used [m], shape (K, S, 3).
+        position: Own unknowns of the samples that were used, shape (K, S, own).
         rows: Their numbers, shape (S,).
         cost: Robust, with the last stage's noise, shape (K,).
     """
@@ -111,28 +111,30 @@ class _Batch:
     def __init__(self, problem: MotorAngleProblem, rows: NDArray[np.intp]) -> None:
         """Set up with some of the samples."""
         self.rows, self._problem = rows, problem
-        self._by_shared = problem.wound_slope(rows)
-        self._wound = problem.wound(np.zeros(problem.size), rows)
+        mean = problem.prior.mean
+        self._by_shared = problem.wound_slope(mean, rows)
+        self._wound = problem.wound(mean, rows) - self._by_shared @ mean
         self._axes = problem.known_axes[rows]
         self._hold = self._axes / problem.known_sigma[rows] ** 2
-        self._place = np.where(
-            self._axes, problem.known_position[rows], problem.robot.home_position
-        )
-        self._loose = (POSITION_PRIOR_FACTOR * problem.longest) ** -2
+        self._place = np.where(self._axes, problem.known_position[rows], problem.home)
+        self._loose = problem.reach**-2
 
     def placed(self, shared: Array) -> Array:
         """Return the positions that fit the lengths, found from within the workspace."""
         robot = self._problem.robot
-        middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+        middle = self._problem.home.copy()
+        middle[:3] = 0.5 * (robot.workspace_min + robot.workspace_max)
         position = np.where(self._axes, self._place, middle)
         position = np.broadcast_to(position, (len(shared), *position.shape)).copy()
         for step in range(PLACING_STEPS):
             residual, direction = self._residual(shared, position)
+            direction = direction[..., :3]
             square = np.einsum("ksia,ksib->ksab", direction, direction)
             square += (0.3 if step < FIRM_STEPS else 1e-3) * np.eye(3)
             pull = np.einsum("ksia,ksi->ksa", direction, residual)
             move = np.linalg.solve(square, pull[..., None])[..., 0]
-            position = np.where(self._axes, position, position + move)
+            moved = np.where(self._axes[:, :3], position[..., :3], position[..., :3] + move)
+            position[..., :3] = moved
         return position
 
     def fitted(
@@ -153,12 +155,22 @@ class _Batch:
         return shared, position, cost
 
     def _residual(self, shared: Array, position: Array) -> tuple[Array, Array]:
-        """Return wound less straight lengths, (K, S, n), and directions, (K, S, n, 3)."""
-        points = shared[:, self._problem.exits] - self._problem.offsets
-        ray = position[:, :, None] - points[:, None]
+        """Return wound less straight lengths, (K, S, n).
+
+        Second are the derivatives of the straight lengths by the own unknowns, (K, S, n, own).
+        """
+        arm = self._problem.offsets
+        if self._problem.own == 6:
+            turn = from_rotation_vector(position[..., 3:])
+            arm = arm @ turn.swapaxes(2, 3)
+        ray = position[:, :, None, :3] + arm - shared[:, self._problem.exits][:, None]
         length = np.maximum(np.linalg.norm(ray, axis=3), 1e-9)
         wound = self._wound + np.einsum("sim,km->ksi", self._by_shared, shared)
-        return wound - length, ray / length[..., None]
+        slope = ray / length[..., None]
+        if self._problem.own == 6:
+            moment = np.cross(arm, slope) @ left_jacobian(position[..., 3:])
+            slope = np.concatenate([slope, moment], axis=3)
+        return wound - length, slope
 
     def _cost(self, shared: Array, position: Array, line_sigma: float) -> tuple[Array, Array]:
         """Return the costs, shape (K,), and the weights of the samples, shape (K, S)."""
@@ -169,6 +181,7 @@ class _Batch:
         moved = shared - self._problem.prior.mean
         information = self._problem.prior.information
         cost = loss.sum(axis=1) + np.einsum("ki,ij,kj->k", moved, information, moved)
+        cost += (self._loose * (position - self._problem.home) ** 2).sum(axis=(1, 2))
         cost += (self._hold * (position - self._place) ** 2).sum(axis=(1, 2))
         for distance, miss, _ in self._distances(shared):
             cost += (miss / distance) ** 2
@@ -195,16 +208,17 @@ class _Batch:
         scale = problem.advantage / line_sigma
         by_shared = np.repeat(self._by_shared[None], count, axis=0)
         for i, place in enumerate(problem.exits):
-            by_shared[:, :, i, place] = direction[:, :, i]
+            by_shared[:, :, i, place] = direction[:, :, i, :3]
         white = residual * scale
         by_shared *= scale[:, None]
         own = -direction * scale[:, None]
         heavy = own * weight[:, :, None, None]
         square = np.einsum("ksia,ksib->ksab", heavy, own)
-        diagonal = np.arange(3)
+        diagonal = np.arange(problem.own)
         square[:, :, diagonal, diagonal] += self._loose + self._hold
         square[:, :, diagonal, diagonal] *= 1.0 + damping[:, None, None]
         pull = np.einsum("ksia,ksi->ksa", heavy, white) + self._hold * (position - self._place)
+        pull += self._loose * (position - problem.home)
         cross = np.einsum("ksia,ksim->ksam", heavy, by_shared)
         inverse = np.linalg.inv(square)
         follow = -inverse @ cross

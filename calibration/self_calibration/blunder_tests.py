@@ -149,7 +149,7 @@ def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) 
     known = problem.is_known
     miss = where - problem.known_position
     moved = gain @ white.by_shared
-    spread = own + np.eye(3) * problem.known_sigma[:, None, :] ** 2
+    spread = own + np.eye(problem.own) * problem.known_sigma[:, None, :] ** 2
     both = 1.0 - 2.0 * (system.lengths * system.known)[:, None, None]
     place = spread + both * (moved @ shared @ moved.swapaxes(1, 2))
     scale = problem.known_axes / np.sqrt(np.diagonal(spread, axis1=1, axis2=2))

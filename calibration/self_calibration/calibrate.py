@@ -21,6 +21,7 @@ from calibration.self_calibration.verdict import (
     better_rival,
     check_determined,
     check_reference,
+    check_rotation,
     find_rivals,
     warnings_of,
 )
@@ -56,6 +57,7 @@ def calibrate_motor_angles(
     settings = settings or SelfCalibrationSettings()
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)
+    check_rotation(problem)
     first = starts(problem)
     everything = np.ones(len(angles.samples), dtype=np.bool_)
     line = settings.line_sigma or LINE_SIGMA_START_M
@@ -123,15 +125,16 @@ def _result(
     system = equations(problem, shared, position, _cautious(problem, settled))
     lost = ~trust.lengths & ~trust.known
     covariance = frame.covariance(system.information)
-    slope = frame.position_slope(system.by_shared, position)
-    spread = system.position_covariance + slope @ covariance @ slope.swapaxes(1, 2)
+    place = position[:, :3]
+    slope = frame.position_slope(system.by_shared[:, :3], place)
+    spread = system.position_covariance[:, :3, :3] + slope @ covariance @ slope.swapaxes(1, 2)
     each = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    exits = problem.exits.ravel()
     return SelfCalibration(
         before=problem.robot,
         estimate=_parameters(problem, shared, covariance),
         samples=angles.samples,
-        position=position,
+        position=place,
+        rotation=problem.rotations(position),
         position_sigma=np.where(lost[:, None], np.inf, each),
         residual=problem.linearize(shared, position).residual,
         used=trust.lengths,
@@ -151,7 +154,7 @@ def _result(
         observability=problem.prior.judge(
             frame.held(system.information - problem.prior.information)
         ),
-        warnings=warnings_of(problem, settled, rivals, covariance[np.ix_(exits, exits)]),
+        warnings=warnings_of(problem, settled, rivals, covariance),
     )
 
 
@@ -176,24 +179,32 @@ def _parameters(
     radius, slope = problem.drum_radius(shared)
     exits = np.eye(problem.size)[problem.exits.ravel()]
     buildup = np.eye(problem.size)[problem.buildups]
-    to_robot = np.vstack([exits, slope, buildup])
+    soft = np.eye(problem.size)[problem.compliances]
+    stiffness = robot.axial_stiffness[: len(soft)]
+    after = stiffness / (1.0 + shared[problem.compliances])
+    stiff = [-(value**2 / stiffness)[:, None] * soft for value in (after, stiffness)]
+    to_robot = np.vstack([exits, slope, buildup, stiff[0]])
     prior = problem.prior.covariance
-    from_before = np.vstack([exits, slope_before, buildup])
+    from_before = np.vstack([exits, slope_before, buildup, stiff[1]])
     names = (
         *problem.prior.names[: problem.exits.size],
         *(f"drum_radius[{cable}]" for cable in robot.cable_names),
         *(f"drum_buildup[{cable}]" for cable in robot.cable_names),
+        *(f"axial_stiffness[{cable}]" for cable in robot.cable_names[: len(soft)]),
     )
     covariance = to_robot @ shared_covariance @ to_robot.T
     return ParameterEstimate(
         names=names,
-        value=np.concatenate([shared[problem.exits].ravel(), radius, shared[problem.buildups]]),
+        value=np.concatenate(
+            [shared[problem.exits].ravel(), radius, shared[problem.buildups], after]
+        ),
         covariance=0.5 * (covariance + covariance.T),
         start=np.concatenate(
             [
                 problem.prior.mean[problem.exits].ravel(),
                 before,
                 problem.prior.mean[problem.buildups],
+                stiffness,
             ]
         ),
         prior_sigma=np.sqrt(np.diag(from_before @ prior @ from_before.T)),
@@ -225,10 +236,10 @@ def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut,
         other = fit(problem, settled.fit.shared, settled.fit.position, less)
         sigma = np.sqrt(
             np.diag(_position_covariance(problem, other, less, int(k)))
-            + problem.known_sigma[k] ** 2
+            + problem.known_sigma[k, :3] ** 2
         )
         if (sigma < PREDICTED_SIGMA_MAX_M)[axes].all():
-            error = other.position[k] - angles.known_position[k]
+            error = other.position[k, :3] - angles.known_position[k]
             left_out.append(
                 LeftOut(
                     sample=angles.samples[k],
@@ -244,8 +255,8 @@ def _position_covariance(
 ) -> Array:
     """Return the covariance of one position [m^2], shape (3, 3)."""
     system = equations(problem, solution.shared, solution.position, trust)
-    slope = system.by_shared[row]
-    covariance: Array = system.position_covariance[row] + slope @ np.linalg.solve(
+    slope = system.by_shared[row, :3]
+    covariance: Array = system.position_covariance[row, :3, :3] + slope @ np.linalg.solve(
         system.information, slope.T
     )
     return covariance

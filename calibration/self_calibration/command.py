@@ -65,6 +65,10 @@ class MotorAngleOptions(Protocol):
         """Wanted standard deviation of the exit points [m]."""
 
     @property
+    def keeps_rotation(self) -> bool:
+        """True if the platform keeps its rotation though its cables end apart."""
+
+    @property
     def home_length_prior(self) -> float:
         """Standard deviation of the lengths at home [m]."""
 
@@ -139,6 +143,7 @@ def _settings(options: MotorAngleOptions) -> SelfCalibrationSettings:
             for first, second, length, sigma in options.distance
         ),
         x_through=options.x_through,
+        keeps_rotation=options.keeps_rotation,
         accuracy=options.accuracy,
     )
 

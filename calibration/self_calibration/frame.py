@@ -95,7 +95,7 @@ class Frame:
             The moved solution; the same where the free turns are neither one nor three.
         """
         turns = self.turns
-        if turns.shape[1] not in (1, 3):
+        if turns.shape[1] not in (1, 3) or problem.own == 6:
             return solution
         axis = turns if turns.shape[1] == 1 else np.zeros((3, 1))
         plane = np.eye(3) - axis @ axis.T
@@ -218,6 +218,11 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
         move=move,
         heading=heading,
     )
+
+
+def mean_distance(exits: Array) -> float:
+    """Return the root mean square distance of each exit point from the truth, averaged [m]."""
+    return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
 
 
 def _moves(ray: Array, lever: float) -> Array:

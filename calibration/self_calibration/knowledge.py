@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.self_calibration.frame import mean_distance
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import whiten
-from calibration.self_calibration.verdict import mean_distance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.drum import drums_of
 

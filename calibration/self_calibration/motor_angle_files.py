@@ -18,9 +18,12 @@ from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.table import shortened
 
 _MOTOR_COLUMN = re.compile(r"motor_(?:angle_)?(?P<cable>.+?)_(?P<unit>deg|rad)")
+_FORCE_COLUMN = re.compile(r"force_(?P<cable>.+?)_[nN]")
 _KNOWN_COLUMN = re.compile(r"known_(?P<sigma>sigma_)?(?P<axis>[xyz])_(?P<unit>mm|m)")
 _UNIT_FACTORS = {"deg": math.radians(1.0), "rad": 1.0, "mm": 1e-3, "m": 1.0}
-COLUMNS_ALLOWED = "sample, motor_NAME_deg or motor_angle_01_rad, known_x_mm or known_x_m"
+COLUMNS_ALLOWED = (
+    "sample, motor_NAME_deg or motor_angle_01_rad, known_x_mm or known_x_m, force_NAME_n"
+)
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,8 @@ def load_motor_angles(path: str | Path) -> MotorAngles:
     Columns, in any order: ``sample`` (a name), one ``motor_NAME_deg`` or ``motor_angle_01_rad`` a
     motor (deg or rad, positive paying cable out), ``known_x_mm``, ``known_y_mm``, ``known_z_mm``
     (or ``_m``), blank or missing where a coordinate is unknown, and ``known_sigma_x_mm`` and so on
-    if they differ from the settings. Lines that start with # are comments.
+    if they differ from the settings, ``force_NAME_n`` for each motor, or for none, the tension with
+    which it holds its cable [N]. Lines that start with # are comments.
 
     Raises:
         MissingFile: There is no such file.
@@ -84,13 +88,18 @@ def write_motor_angles(angles: MotorAngles, path: Path) -> None:
     known = [f"known_{axis}_m" for axis in "xyz"]
     spread = [f"known_sigma_{axis}_m" for axis in "xyz"] if angles.known_sigma is not None else []
     motors = [f"motor_{name}_rad" for name in angles.cables]
+    if angles.tension is not None:
+        motors += [f"force_{name}_n" for name in angles.cables]
+    measured = np.hstack(
+        [angles.motor_angle, *([] if angles.tension is None else [angles.tension])]
+    )
     lines = [",".join(["sample", *motors, *known, *spread])]
     for k, name in enumerate(angles.samples):
         cells = [*angles.known_position[k]]
         cells += [] if angles.known_sigma is None else [*angles.known_sigma[k]]
         axes = [*angles.coordinates_known[k]] * 2
         words = [repr(float(v)) if there else "" for v, there in zip(cells, axes, strict=False)]
-        lines.append(",".join([name, *(repr(float(v)) for v in angles.motor_angle[k]), *words]))
+        lines.append(",".join([name, *(repr(float(v)) for v in measured[k]), *words]))
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -105,11 +114,13 @@ class _AngleReader:
         self._motors: list[_Column] = []
         self._known: dict[str, _Column] = {}
         self._sigma: dict[str, _Column] = {}
+        self._forces: list[_Column] = []
         for index, title in enumerate(header):
             self._add(index, title)
         self._check(header)
         self._names: list[tuple[int, str]] = []
         self._angle: list[list[float]] = []
+        self._force: list[list[float]] = []
         self._position: list[list[float]] = []
         self._spread: list[list[float]] = []
 
@@ -123,6 +134,8 @@ class _AngleReader:
             if known["axis"] in place:
                 self.faults.append(f"column {title}: the same coordinate comes twice")
             place[known["axis"]] = _Column(index, title, _UNIT_FACTORS[known["unit"]])
+        elif force := _FORCE_COLUMN.fullmatch(title):
+            self._forces.append(_Column(index, force["cable"], 1.0))
         elif title != "sample":
             self.faults.append(f"column {title!r}: unknown; allowed: {COLUMNS_ALLOWED}")
 
@@ -133,6 +146,9 @@ class _AngleReader:
         if not self._motors:
             self.faults.append("no motor angles; allowed: columns such as motor_a_deg")
         names = [column.name for column in self._motors]
+        forces = [column.name for column in self._forces]
+        if forces and sorted(forces) != sorted(names):
+            self.faults.append(f"forces of {forces}; allowed: one of each motor, or none at all")
         for name in doubles(names):
             self.faults.append(f"motor {name}: two columns; allowed: one per motor")
         alone = [axis for axis in self._sigma if axis not in self._known]
@@ -155,6 +171,11 @@ class _AngleReader:
                 continue
             self._names.append((number, cells[self._sample]))
             self._angle.append([self._number(c, cells, number, faults) for c in self._motors])
+            by_name = {column.name: column for column in self._forces}
+            forces = [by_name[motor.name] for motor in self._motors] if by_name else []
+            self._force.append([self._number(c, cells, number, faults) for c in forces])
+            if self._force[-1] and min(self._force[-1]) < 0.0:
+                faults.append(f"line {number}: force: got < 0; allowed: >= 0")
             self._place(cells, number, faults)
         seen: dict[str, int] = {}
         for number, name in self._names:
@@ -203,4 +224,5 @@ class _AngleReader:
             is_known=np.asarray(np.isfinite(position).any(axis=1)),
             known_sigma=np.nan_to_num(spread) if self._sigma else None,
             known_axes=np.isfinite(position),
+            tension=np.array(self._force) if self._forces else None,
         )

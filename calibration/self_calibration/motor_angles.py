@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 
+FLAT_EXTENT_SHARE = 1e-3  # of their extent: known positions that close to a line lie on it
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorAngles:
@@ -27,6 +29,7 @@ class MotorAngles:
             up to the settings.
         known_axes: True for each coordinate that is known, shape (N, 3); None: all three wherever
             `is_known`.
+        tension: With which the motors hold the cables [N], shape (N, n); None: unknown.
     """
 
     samples: tuple[str, ...]
@@ -36,6 +39,7 @@ class MotorAngles:
     is_known: NDArray[np.bool_]
     known_sigma: Array | None = None
     known_axes: NDArray[np.bool_] | None = None
+    tension: Array | None = None
 
     def __post_init__(self) -> None:
         """Freeze the arrays; refuse names that come twice and sigmas that are none."""
@@ -54,6 +58,10 @@ class MotorAngles:
             if len(wrong):
                 allowed = "known exactly where one of the coordinates in known_axes is"
                 raise InvalidField("is_known", f"sample {self.samples[wrong[0]]!r}", allowed)
+        if self.tension is not None:
+            set_frozen(self, {"tension": (count, len(self.cables))})
+            if not (self.tension >= 0.0).all():
+                raise InvalidField("tension", f"{self.tension.min():g} N", ">= 0 N")
         known = self.coordinates_known
         if self.known_sigma is not None:
             set_frozen(self, {"known_sigma": (count, 3)})
@@ -75,6 +83,16 @@ class MotorAngles:
         if self.known_axes is None:
             return np.repeat(self.is_known[:, None], 3, axis=1)
         return self.known_axes
+
+    @property
+    def spans_plane(self) -> bool:
+        """Whether at least three positions are known that are not on one line."""
+        complete = self.coordinates_known.all(axis=1)
+        known = self.known_position[complete]
+        if len(known) < 3:
+            return False
+        extent = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
+        return bool(extent[1] >= FLAT_EXTENT_SHARE * extent[0])
 
     def index(self, sample: str) -> int:
         """Return the place of a sample.
@@ -110,4 +128,10 @@ class MotorAngles:
         else:
             allowed = f"the robot's {list(cable_names)}, or 01 to {len(cable_names):02d}"
             raise InvalidField("motors", f"{names}", allowed)
-        return replace(self, cables=tuple(cable_names), motor_angle=self.motor_angle[:, columns])
+        tension = None if self.tension is None else self.tension[:, columns]
+        return replace(
+            self,
+            cables=tuple(cable_names),
+            motor_angle=self.motor_angle[:, columns],
+            tension=tension,
+        )

@@ -6,8 +6,12 @@ The drum of cable i pays out, since the reference at which its motor angle is 0,
 
 .. math:: L_i(\varphi) = L_{0,i} + (r_i \varphi - b_i \varphi^2 / 4) / \alpha_i,
 
-and a straight stiff cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped
-arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
+and a straight cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped arc
+where there is a pulley). Where the tension f is measured, line and run length R stretch by it,
+
+.. math:: L^s_i = L_i + (L_i + R_i) f_i / EA_i;
+
+otherwise cables are stiff. The residual is :math:`L^s_i(\varphi) - \ell_i(p)`.
 """
 
 from __future__ import annotations
@@ -23,15 +27,21 @@ from calibration.linear_samples import LinearSamples
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.reference import tied_to_home
+from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
 from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector, left_jacobian
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
+POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
+POSITION_PRIOR_FACTOR = (
+    20.0  # times the longest cable: one standard deviation of a position before any data
+)
+TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
 ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
@@ -54,8 +64,13 @@ class Before:
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
+    A platform whose cables end apart turns as it moves. Where known positions do not settle its
+    place, and lengths are to spare for it, so its rotation is unknown as well: the position of each
+    sample is followed by a rotation vector, from home's rotation [rad].
+
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
-    for each group of alike drums, and the lengths at the reference (n).
+    for each group of alike drums, the lengths at the reference (n), and, where tensions are
+    measured, the error of the compliance 1 / EA of each group of alike cables, as a share of it.
 
     Attributes:
         prior: Of the shared unknowns, m of them.
@@ -63,12 +78,17 @@ class MotorAngleProblem:
         radii: Place of each cable's radius error, shape (n,).
         buildups: Place of its build-up, shape (n,).
         zeros: Place of its length at the reference, shape (n,).
+        compliances: Place of the error of its compliance, shape (n,); empty without tensions.
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
-        known_axes: True for each coordinate that is known, shape (N, 3). Where no sample has some
-            coordinate known, that of the reference is taken to be home's: see `reference`.
-        known_position: Known coordinates [m], shape (N, 3).
-        known_sigma: Of known coordinates [m], shape (N, 3).
+        own: Unknowns of each sample: 3, or 6 with its rotation.
+        keeps_rotation: True if the platform has the rotation that it has at home.
+        reach: One standard deviation of a sample's own unknowns before any data, shape (own,).
+        home: Own unknowns at home, shape (own,).
+        known_axes: True for each own unknown that is known, shape (N, own). Where no sample has
+            some coordinate known, that of the reference is taken to be home's: see `reference`.
+        known_position: Known ones, shape (N, own).
+        known_sigma: One standard deviation of these, shape (N, own).
         is_known: Samples with a known coordinate, shape (N,).
         reference: Sample that is taken to be at home, and in which coordinates, or None.
     """
@@ -93,15 +113,18 @@ class MotorAngleProblem:
         self.advantage = drums.advantage
         home = straight_length(robot, robot.home_position[None]).length[0]
         zero = home if settings.length_at_zero is None else settings.length_at_zero
-        length = frozen_array("length_at_zero", zero, (robot.n,))
+        length = self._at_rest(frozen_array("length_at_zero", zero, (robot.n,)))
         turned = drums.motor_angle(length) / drums.gear
         self.radius = drums.radius - 0.5 * drums.buildup * turned
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
         self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        mean = [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
+        soft = np.zeros(len(set(self.compliances.tolist())))
+        buildups = np.array(self._buildups)
+        mean = [robot.exit_points.ravel(), np.zeros(self._groups), buildups, length, soft]
         self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
+        self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
             known = angles.coordinates_known
@@ -112,15 +135,24 @@ class MotorAngleProblem:
         self._ends = [
             tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
         ]
-        turned = self.wound(self.prior.mean) - length
+        wound = self._unstrained(self.prior.mean, slice(None))
+        self._friction_noise = (
+            settings.friction_share / np.sqrt(3.0) * self.advantage
+            * self._strain(self.prior.mean, slice(None)) * (wound + robot.run_length)
+        )  # fmt: skip
+        turned = wound - length
         self.reference = tied_to_home(angles, robot, self.prior, turned)
-        self.known_axes = angles.coordinates_known.copy()
-        self.known_position = angles.known_position.copy()
+        turns = np.zeros((len(angles.samples), self.own - 3))
+        self.known_axes = np.hstack([angles.coordinates_known, turns.astype(np.bool_)])
+        self.known_position = np.hstack([angles.known_position, turns])
+        self.known_sigma = np.hstack([self.known_sigma, turns + TIE_SIGMA_SHARE])
         if self.reference is not None:
             row, axes, sigma = self.reference.row, self.reference.axes, self.reference.sigma
-            self.known_axes[row, axes] = True
-            self.known_position[row, axes] = robot.home_position[axes]
-            self.known_sigma[row, axes] = sigma
+            self.known_axes[row, :3] |= axes
+            self.known_position[row, :3][axes] = robot.home_position[axes]
+            self.known_sigma[row, :3][axes] = sigma
+            # What of the rotation at home is a convention as well; known heights tell the rest.
+            self.known_axes[row, 3:] = [axes.all(), axes.all(), axes[:2].all()][: self.own - 3]
         self.is_known: NDArray[np.bool_] = np.asarray(self.known_axes.any(axis=1))
 
     @property
@@ -155,6 +187,10 @@ class MotorAngleProblem:
         new = shared.copy()
         new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
         return new
+
+    def line_noise(self, line_sigma: float) -> Array:
+        """Return one standard deviation of the line by noise and friction [m], shape (N, n)."""
+        return np.asarray(np.hypot(line_sigma, self._friction_noise))
 
     def before(self, shared: Array) -> Before:
         """Return what priors and measured distances say of the shared unknowns."""
@@ -203,17 +239,21 @@ class MotorAngleProblem:
 
         Args:
             shared: Shape (m,).
-            position: Of the chosen samples [m], shape (N, 3).
+            position: Own unknowns of the chosen samples, shape (N, own).
             rows: Chosen samples.
         """
         straight, direction = self.straight(shared, position)
-        by_shared = self.wound_slope(rows)
+        by_own = -direction
+        if self.own == 6:
+            moment = np.cross(self._arms(position), direction)
+            by_own = np.concatenate([by_own, -moment @ left_jacobian(position[:, 3:])], axis=2)
+        by_shared = self.wound_slope(shared, rows)
         for i in range(self.robot.n):
             by_shared[:, i, self.exits[i]] = direction[:, i]
         return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
-            by_own=-direction,
+            by_own=by_own,
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
@@ -229,7 +269,12 @@ class MotorAngleProblem:
         return empty_radius, slope
 
     def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
-        """Return the lengths of the cables by their drums [m], shape (N, n)."""
+        """Return the lengths of the cables by their drums, stretched [m], shape (N, n)."""
+        length, strain = self._unstrained(shared, rows), self._strain(shared, rows)
+        return length + (length + self.robot.run_length) * strain
+
+    def _unstrained(self, shared: Array, rows: Rows) -> Array:
+        """Return the unstrained lengths of the cables by their drums [m], shape (N, n)."""
         drums = replace(
             self._drums,
             radius=self.radius + shared[self.radii],
@@ -238,8 +283,15 @@ class MotorAngleProblem:
         )
         return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
 
-    def wound_slope(self, rows: Rows = slice(None)) -> Array:
-        """Return the derivative of `wound`, in which it is linear, shape (N, n, m)."""
+    def _strain(self, shared: Array, rows: Rows) -> Array:
+        """Return the strains of the cables, shape (N, n); 0 where tensions are unknown."""
+        if self.angles.tension is None:
+            return np.zeros_like(self._drum_angle[rows])
+        tension = self.angles.tension[rows]
+        return np.asarray(tension * (1.0 + shared[self.compliances]) / self.robot.axial_stiffness)
+
+    def wound_slope(self, shared: Array, rows: Rows = slice(None)) -> Array:
+        """Return the derivative of `wound`, shape (N, n, m); without tensions it is linear."""
         angle = self._drum_angle[rows]
         count, n = angle.shape
         slope = np.zeros((count, n, self.size))
@@ -247,6 +299,12 @@ class MotorAngleProblem:
             slope[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
             slope[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
             slope[:, i, self.zeros[i]] = 1.0
+        if self.angles.tension is not None:
+            slope *= (1.0 + self._strain(shared, rows))[:, :, None]
+            soft = self.angles.tension[rows] / self.robot.axial_stiffness
+            soft = soft * (self._unstrained(shared, rows) + self.robot.run_length)
+            for i in range(n):
+                slope[:, i, self.compliances[i]] = soft[:, i]
         return slope
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
@@ -257,11 +315,46 @@ class MotorAngleProblem:
         """
         exits, count = shared[self.exits], len(position)
         n = len(exits)
-        moved = (position - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
-        cables = straight_length(self.robot, moved)
+        moved = (position[:, :3] - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
+        rotation = np.tile(self.rotations(position), (n, 1, 1)) if self.own == 6 else None
+        cables = straight_length(self.robot, moved, rotation)
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
         return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
+
+    def rotations(self, position: Array) -> Array:
+        """Return the rotations from P to W of own unknowns (N, own), shape (N, 3, 3)."""
+        home = self.robot.home_rotation
+        if self.own == 3:
+            return np.tile(home, (len(position), 1, 1))
+        return np.asarray(from_rotation_vector(position[:, 3:]) @ home)
+
+    def _arms(self, position: Array) -> Array:
+        """Return the anchor points from the platform's origin, in W [m], shape (N, n, 3)."""
+        turn = from_rotation_vector(position[:, 3:])
+        return np.asarray(self.offsets @ turn.swapaxes(1, 2))
+
+    def _set_own(self) -> None:
+        """Decide whether the rotation of each sample is unknown."""
+        offsets = self.offsets
+        apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
+        self.keeps_rotation = (
+            self.settings.keeps_rotation
+            or self.angles.spans_plane
+            or apart < POINT_LIKE_SHARE * self.longest
+        )
+        self.own = 3 if self.keeps_rotation or self.robot.n <= 6 else 6
+        far = POSITION_PRIOR_FACTOR * self.longest
+        self.reach = np.array([far] * 3 + [TURN_PRIOR_RAD] * 3)[: self.own]
+        self.home = np.concatenate([self.robot.home_position, np.zeros(3)])[: self.own]
+
+    def _at_rest(self, length: Array) -> Array:
+        """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""
+        if self.angles.tension is None:
+            return length
+        row = int(np.argmin(np.abs(self.angles.motor_angle).max(axis=1)))
+        strain = self.angles.tension[row] / self.robot.axial_stiffness
+        return np.asarray((length - self.robot.run_length * strain) / (1.0 + strain))
 
     def _makes(self) -> list[tuple[float, ...]]:
         """Return what drums of one make have in common."""
@@ -279,12 +372,18 @@ class MotorAngleProblem:
         self.radii = 3 * n + np.array(group)
         self.buildups = 3 * n + self._groups + np.array(of_buildup)
         self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
+        kinds = sorted(set(self.robot.axial_stiffness.tolist()))
+        of_kind = [kinds.index(value) for value in self.robot.axial_stiffness.tolist()]
+        self.compliances = int(self.zeros[-1]) + 1 + np.array(of_kind)
+        if self.angles.tension is None:
+            kinds, self.compliances = [], np.zeros(0, dtype=np.int_)
         self._names = (
             *point_names("exit_points", cables),
             *(f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)),
             *(f"drum_buildup[{_joined(cables, of_buildup, g)}]"
               for g in range(len(self._buildups))),
             *(f"length_at_zero[{cable}]" for cable in cables),
+            *(f"compliance[{_joined(cables, of_kind, g)}]" for g in range(len(kinds))),
         )  # fmt: skip
 
     def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
@@ -294,6 +393,7 @@ class MotorAngleProblem:
         sigma[: len(exits)] = settings.exit_sigma
         sigma[self.radii] = settings.drum_radius_sigma
         sigma[self.buildups] = settings.drum_buildup_share * np.maximum(mean[self.buildups], 1e-9)
+        sigma[self.compliances] = settings.stiffness_share
         covariance = np.diag(sigma**2)
         block = slice(0, len(exits))
         covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])

@@ -57,7 +57,7 @@ def tied_to_home(
     axes = np.asarray(~angles.coordinates_known.any(axis=0))
     if not axes.any() or _surveyed(robot, prior):
         return None
-    longest = float(prior.mean[-robot.n :].max())
+    longest = float(prior.mean[prior.rows("length_at_zero")].max())
     away = np.abs(turned).max(axis=1)
     row = int(np.argmin(away))
     if away[row] > REFERENCE_LENGTH_SHARE * longest:

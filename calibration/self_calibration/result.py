@@ -13,6 +13,7 @@ from calibration.self_calibration.frame import Frame
 from calibration.self_calibration.scale import Scale
 from calibration.self_calibration.verdict import OUTSIDE_SHARE, Rival
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.parameter_names import field_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,7 @@ class SelfCalibration(CalibrationResult):
     Attributes:
         samples: Names.
         position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3): home's unless lengths tell it.
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
@@ -78,6 +80,7 @@ class SelfCalibration(CalibrationResult):
 
     samples: tuple[str, ...]
     position: Array
+    rotation: Array
     position_sigma: Array
     residual: Array
     used: NDArray[np.bool_]
@@ -169,11 +172,23 @@ class SelfCalibration(CalibrationResult):
         lines += self.frame.sentences()
         lines.append(self.scale.sentence())
         lines += self._rival_sentences()
-        lines.append(
-            "cables were taken as straight and stiff, as no tensions are known; what a constant "
-            "tension stretches counts as drum radius"
-        )
+        lines.append(self._stretch_sentence())
         return lines
+
+    def _stretch_sentence(self) -> str:
+        """Return how stretch was treated."""
+        stiff = [name for name in self.estimate.names if field_of(name) == "axial_stiffness"]
+        if not stiff:
+            return (
+                "cables were taken as straight and stiff, as no tensions are known; what a "
+                "constant tension stretches counts as drum radius"
+            )
+        known = self.estimate.select(stiff)
+        share = 100.0 * float((known.sigma / known.value).max())
+        return (
+            f"cables were taken as straight, and stretch by the measured tensions; their stiffness "
+            f"is known to {share:.0f} %"
+        )
 
     def _rival_sentences(self) -> list[str]:
         """Return how much worse the best other solution is."""

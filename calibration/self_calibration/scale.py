@@ -54,14 +54,15 @@ def find_scale(problem: MotorAngleProblem, shared: Array, covariance: Array, tru
         [int(np.flatnonzero(problem.radii == place)[0]) for place in places]
     ]
     known = problem.angles.coordinates_known & trust.known[:, None]
-    weight = known / problem.known_sigma**2
-    middle = (weight * problem.known_position).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
+    weight = known / problem.known_sigma[:, :3] ** 2
+    place = problem.known_position[:, :3]
+    middle = (weight * place).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
     information = {
         "measured distances": sum((d.length / d.sigma) ** 2 for d in settings.distances),
         "lengths at home": ((shared[problem.zeros] / sigma[problem.zeros]) ** 2).sum(),
         "drums": ((radius / sigma[places]) ** 2).sum(),
         "exit points of the robot file": grow @ problem.prior.information @ grow,
-        "known positions": (weight * (problem.known_position - middle) ** 2).sum(),
+        "known positions": (weight * (place - middle) ** 2).sum(),
     }
     sources = {name: float(value) ** -0.5 for name, value in information.items() if value > 0.0}
     return Scale(sigma=spread, sources=dict(sorted(sources.items(), key=lambda item: item[1])))

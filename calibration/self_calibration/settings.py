@@ -53,10 +53,15 @@ class SelfCalibrationSettings:
         length_at_zero_sigma: Of these lengths [m].
         drum_radius_sigma: Of the radius that alike drums share [m].
         drum_buildup_share: Of the build-up, as a share of it [1].
+        stiffness_share: Of the stiffness EA, as a share of it, where tensions are measured [1].
+        friction_share: Largest error of a measured tension by friction, as a share of it [1].
         distances: Measured distances between exit points, or from one to home.
         x_through: Cable through whose exit point the x axis of W runs, seen from above and from
             home, where nothing that was measured tells the heading; None: the exit points of the
             robot file tell it.
+        keeps_rotation: True if the platform is built to keep its rotation from home, though its
+            cables end apart from each other. Without known positions a platform whose cables end
+            apart is refused otherwise.
         accuracy: Wanted standard deviation of the exit points, the mean of their distances from
             the truth [m]; None: nothing is wanted.
         known_sigma: Of known positions per axis, where the file says nothing [m], shape (3,).
@@ -69,8 +74,11 @@ class SelfCalibrationSettings:
     length_at_zero_sigma: float = 0.02
     drum_radius_sigma: float = 2e-3
     drum_buildup_share: float = 0.15
+    stiffness_share: float = 0.3
+    friction_share: float = 0.1
     distances: tuple[Distance, ...] = ()
     x_through: str | None = None
+    keeps_rotation: bool = False
     accuracy: float | None = None
     known_sigma: Array | tuple[float, float, float] = (1e-3, 1e-3, 1e-3)
     line_sigma: float | None = None
@@ -82,10 +90,12 @@ class SelfCalibrationSettings:
         object.__setattr__(self, "distances", tuple(self.distances))
         for name in (
             "exit_sigma", "known_sigma", "line_sigma", "length_at_zero_sigma",
-            "drum_radius_sigma", "drum_buildup_share", "accuracy",
+            "drum_radius_sigma", "drum_buildup_share", "stiffness_share", "accuracy",
         ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not (np.asarray(value) > 0.0).all():
                 raise InvalidField(name, value, "> 0")
+        if not 0.0 <= self.friction_share < 1.0:
+            raise InvalidField("friction_share", self.friction_share, "0 <= friction_share < 1")
         if not 0.0 < self.blunder < 0.1:
             raise InvalidField("blunder", self.blunder, "0 < blunder < 0.1")

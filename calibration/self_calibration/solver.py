@@ -13,9 +13,6 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
 CAUCHY_SIGMAS = 3.0  # standard deviations from which on a robust fit lets go of a sample
-POSITION_PRIOR_FACTOR = (
-    20.0  # times the longest cable: one standard deviation of a position before any data
-)
 COST_CHANGE_MIN = 1e-8  # relative change of the cost that ends a fit
 DAMPING_MAX = 1e8  # damping with which no step is left
 
@@ -45,7 +42,8 @@ class SampleFit:
 
     Attributes:
         shared: Shape (m,).
-        position: [m], shape (N, 3).
+        position: Own unknowns of the samples: position [m], and rotation vector [rad] where it is
+            unknown, shape (N, own).
         cost: Sum of squares, whitened, or of what takes their place where robust.
         converged: True if the cost settled.
     """
@@ -60,7 +58,9 @@ def whiten(
     problem: MotorAngleProblem, shared: Array, position: Array, line_sigma: float
 ) -> LinearSamples:
     """Linearise all samples, with residuals in standard deviations of the line."""
-    return problem.linearize(shared, position).scaled(problem.advantage / line_sigma)
+    return problem.linearize(shared, position).scaled(
+        problem.advantage / problem.line_noise(line_sigma)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,9 +70,9 @@ class Equations:
     Attributes:
         information: Of the shared unknowns, positions unknown, prior included, shape (m, m).
         gradient: Shape (m,).
-        by_shared: Change of each best position by the shared unknowns, shape (N, 3, m).
-        step: Of each position with the shared unknowns held, shape (N, 3).
-        position_covariance: Of each position with the shared unknowns held, shape (N, 3, 3).
+        by_shared: Change of each best position by the shared unknowns, shape (N, own, m).
+        step: Of each position with the shared unknowns held, shape (N, own).
+        position_covariance: Of each position with the shared unknowns held, shape (N, own, own).
         cost: As in `SampleFit`.
         lengths: Weight of the lengths of each sample, shape (N,).
         known: Weight of each known position, shape (N,).
@@ -96,7 +96,7 @@ def equations(
     Args:
         problem: The samples.
         shared: Shape (m,).
-        position: [m], shape (N, 3).
+        position: Own unknowns, shape (N, own).
         trust: Data that count.
         damping: Relative growth of the diagonals (Levenberg-Marquardt).
     """
@@ -106,15 +106,15 @@ def equations(
     weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
     hold, drift = _weights((away**2).sum(axis=1), 3, trust.robust)
     weight, hold = weight * trust.lengths, hold * trust.known
-    reach = POSITION_PRIOR_FACTOR * problem.longest
-    offset = position - problem.robot.home_position
+    offset = (position - problem.home) / problem.reach
     weighted = white.by_own * weight[:, None, None]
     own = weighted.swapaxes(1, 2) @ white.by_own
-    diagonal = np.arange(3)
-    own[:, diagonal, diagonal] += axes * hold[:, None] / problem.known_sigma**2 + reach**-2
+    diagonal = np.arange(problem.own)
+    own[:, diagonal, diagonal] += axes * hold[:, None] / problem.known_sigma**2
+    own[:, diagonal, diagonal] += problem.reach**-2
     own[:, diagonal, diagonal] *= 1.0 + damping
     pull = np.einsum("kij,ki->kj", weighted, white.residual)
-    pull += hold[:, None] * away / problem.known_sigma + offset / reach**2
+    pull += hold[:, None] * away / problem.known_sigma + offset / problem.reach
     cross = weighted.swapaxes(1, 2) @ white.by_shared
     covariance: Array = np.asarray(np.linalg.inv(own), dtype=np.float64)
     by_shared, step = -covariance @ cross, -np.einsum("kij,kj->ki", covariance, pull)
@@ -132,7 +132,7 @@ def equations(
         step=step,
         position_covariance=covariance,
         cost=float(loss @ trust.lengths + drift @ trust.known + before.cost)
-        + float((offset**2).sum()) / reach**2,
+        + float((offset**2).sum()),
         lengths=weight,
         known=hold,
     )
@@ -146,7 +146,7 @@ def fit(
     Args:
         problem: The samples.
         shared: Start of the shared unknowns, shape (m,).
-        position: Start of the positions [m], shape (N, 3).
+        position: Start of the own unknowns, shape (N, own).
         trust: Data that count.
         steps: At most.
     """
@@ -172,7 +172,7 @@ def fit(
 
 def free_lengths(problem: MotorAngleProblem) -> int:
     """Return the lengths of a sample beyond those that its position takes."""
-    return max(problem.robot.n - 3, 1)
+    return max(problem.robot.n - problem.own, 1)
 
 
 def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:

@@ -18,7 +18,6 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
 
-FLAT_EXTENT_SHARE = 1e-3  # of their extent: known positions that close to a line or plane lie in it
 GUESS_DIRECTIONS = 24  # from which the places of one exit point are looked for
 ROUGH_LENGTH_SIGMA_M = 0.01  # [m] of a length, with drums as they are known before
 LINE_SIGMA_START_M = 5e-3  # [m] of line, before the residuals are known
@@ -54,7 +53,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     Returns:
         Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
-    if not places_known(problem):
+    if not problem.angles.spans_plane:
         return _from_batch(problem)
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]
@@ -73,16 +72,6 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
         first.append(fit(problem, shared, _positions(problem, shared), trust, steps=12))
     last = [fit(problem, f.shared, f.position, trust) for f in _different(problem, first)]
     return _different(problem, last)
-
-
-def places_known(problem: MotorAngleProblem) -> bool:
-    """Return whether at least three positions are known that are not on one line."""
-    complete = problem.angles.coordinates_known.all(axis=1)
-    known = problem.angles.known_position[complete]
-    if len(known) < 3:
-        return False
-    extent = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
-    return bool(extent[1] >= FLAT_EXTENT_SHARE * extent[0])
 
 
 def _from_batch(problem: MotorAngleProblem) -> list[SampleFit]:
@@ -203,6 +192,7 @@ def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     sides = [np.linspace(low, high, GRID_POINTS_PER_SIDE) for low, high in corners.T]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.hstack([grid, np.zeros((len(grid), problem.own - 3))])
     straight, _ = problem.straight(shared, grid)
     best = ((problem.wound(shared)[:, None] - straight) ** 2).sum(axis=2).argmin(axis=1)
     return np.where(problem.known_axes, problem.known_position, grid[best])

@@ -102,6 +102,22 @@ def suggest_positions(
     if not 1 <= count <= SUGGESTED_POSITIONS_MAX:
         raise InvalidField("count", count, f"1 to {SUGGESTED_POSITIONS_MAX}")
     where, margin = safe_positions(known, rng, reach)
+    chosen, sigma = most_informative(known, where, count)
+    return SuggestedPositions(position=where[chosen], sigma=sigma, margin=margin[chosen])
+
+
+def most_informative(known: Knowledge, where: Array, count: int) -> tuple[list[int], Array]:
+    """Choose some of these positions, each the best together with those before.
+
+    Args:
+        known: Present knowledge.
+        where: Candidates [m], shape (C, 3).
+        count: How many.
+
+    Returns:
+        Numbers of the chosen ones, and the largest one standard deviation of an exit point before
+        and after each of them [m], shape (count + 1,).
+    """
     slope = spare_lengths(known, where)
     now, chosen, sigma = known, list[int](), [float(known.exit_sigma.max())]
     for _ in range(count):
@@ -109,7 +125,7 @@ def suggest_positions(
         chosen.append(best)
         now = replace(now, covariance=covariance)
         sigma.append(float(now.exit_sigma.max()))
-    return SuggestedPositions(position=where[chosen], sigma=np.array(sigma), margin=margin[chosen])
+    return chosen, np.array(sigma)
 
 
 def safe_positions(

@@ -8,10 +8,11 @@ import numpy as np
 
 from calibration.observability import Unobservable, judge
 from calibration.self_calibration.blunder_tests import SettledFit
-from calibration.self_calibration.frame import Frame
-from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.frame import Frame, mean_distance
+from calibration.self_calibration.knowledge import Knowledge
+from calibration.self_calibration.problem import POINT_LIKE_SHARE, MotorAngleProblem
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
-from calibration.self_calibration.starting_points import places_known
+from calibration.self_calibration.suggested_positions import most_informative
 from carosac_toolkit.base.arrays import Array
 
 LOOSE_EXIT_SHARE = (
@@ -21,6 +22,8 @@ RIVAL_COST_MAX = 13.8  # squared standard deviations: another solution that is l
 RIVAL_STEPS_MAX = 30
 MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that well
 OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
+NEXT_POSITIONS = 3  # that are named
+GRID_POINTS = 4  # along each side of the workspace from which they are chosen
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
@@ -49,6 +52,27 @@ class Rival:
     def as_good(self) -> bool:
         """Return whether the data and priors cannot tell it from the best one."""
         return self.cost < RIVAL_COST_MAX and not (self.mirrored and self.outside > OUTSIDE_SHARE)
+
+
+def check_rotation(problem: MotorAngleProblem) -> None:
+    """Refuse a platform whose rotation is unknown where lengths alone have to tell everything.
+
+    Raises:
+        Unobservable: With the reason.
+    """
+    offsets = problem.offsets
+    apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
+    if problem.keeps_rotation or problem.own == 6:
+        return
+    raise Unobservable(
+        f"the cables end up to {apart:.2g} m apart on the platform, which turns as it moves, and "
+        f"lengths of {problem.robot.n} cables have nothing to spare for its rotation. Allowed: "
+        "seven cables or more; cables that end within "
+        f"{POINT_LIKE_SHARE * problem.longest:.2g} m of each other; three known positions or "
+        "more, not on one line; a recording of rests with an AHRS, swivel angles or load cells; or "
+        "a platform that is built to keep its rotation "
+        "(keeps_rotation in the settings, --keeps-rotation)"
+    )
 
 
 def find_rivals(
@@ -134,7 +158,41 @@ def check_determined(
     if loose > LOOSE_EXIT_SHARE * problem.longest:
         named = problem.prior.names[int(np.argmax(np.abs(axes[:, -1])))]
         free = (*seen.blind, *seen.weak, named)[0]
-        raise Unobservable(_reason(problem, solution, trust, free, loose))
+        covariance = frame.covariance(system.information)
+        further = ""
+        if problem.robot.n > 3 and not misfits(problem, trust):
+            further = next_positions(problem, solution.shared, covariance, trust.line_sigma)
+        raise Unobservable(_reason(problem, solution, trust, free, loose) + further)
+
+
+def next_positions(
+    problem: MotorAngleProblem, shared: Array, covariance: Array, line_sigma: float
+) -> str:
+    """Name the positions of the workspace that would teach most about the exit points.
+
+    Args:
+        problem: The samples.
+        shared: Values of the shared unknowns, shape (m,).
+        covariance: Shape (m, m).
+        line_sigma: Noise of the line paid out [m].
+    """
+    robot = problem.robot
+    sides = [np.linspace(*ends, GRID_POINTS) for ends in zip(
+        robot.workspace_min, robot.workspace_max, strict=True)]  # fmt: skip
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Candidates have home's rotation and no tensions: the compliances, the last unknowns, are out.
+    settings = replace(problem.settings, x_through=None, keeps_rotation=True)
+    plain = MotorAngleProblem(robot, replace(problem.angles, tension=None), settings)
+    known = Knowledge(
+        problem=plain,
+        settings=settings,
+        shared=shared[: plain.size],
+        covariance=covariance[: plain.size, : plain.size],
+        line_sigma=line_sigma,
+    )
+    chosen, _ = most_informative(known, grid, NEXT_POSITIONS)
+    places = ", ".join("(" + ", ".join(f"{part:.2f}" for part in grid[k]) + ")" for k in chosen)
+    return f". Of the workspace, samples near {places} m would teach most"
 
 
 def check_reference(problem: MotorAngleProblem, trust: Trust) -> None:
@@ -155,11 +213,11 @@ def _reason(
     problem: MotorAngleProblem, solution: SampleFit, trust: Trust, free: str, loose: float
 ) -> str:
     """Explain why the exit points stay free, and what would help."""
-    count, spare = len(problem.angles.samples), problem.robot.n - 3
+    count, spare = len(problem.angles.samples), problem.robot.n - problem.own
     unknown = problem.size - 6
     if misfits(problem, trust):
         why = misfits(problem, trust)
-    elif places_known(problem):
+    elif problem.angles.spans_plane:
         why = f"{count} samples are too few, or too close together."
     elif spare == 0:
         why = (
@@ -186,7 +244,7 @@ def _reason(
 
 def _thin(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> str:
     """Explain in which direction the samples do not spread; empty if they do."""
-    place = solution.position[trust.lengths]
+    place = solution.position[trust.lengths, :3]
     _, size, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
     extent = size / np.sqrt(len(place))
     if extent[2] > FLAT_SHARE * extent[0]:
@@ -215,7 +273,7 @@ def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
 
 
 def warnings_of(
-    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], exits: Array
+    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], covariance: Array
 ) -> tuple[str, ...]:
     """Name rival solutions, many blunders, and what contradicts what was known before.
 
@@ -223,7 +281,7 @@ def warnings_of(
         problem: The samples.
         settled: The fit.
         rivals: Other solutions.
-        exits: Covariance of the exit points in the frame of the result [m^2], shape (3 n, 3 n).
+        covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [_rival_words(rival) for rival in rivals if rival.as_good][:1]
     bad = misfits(problem, settled.trust)
@@ -244,18 +302,15 @@ def warnings_of(
                 "points, and right?"
             )
     wanted = problem.settings.accuracy
-    expected = mean_distance(exits)
+    rows = problem.exits.ravel()
+    expected = mean_distance(covariance[np.ix_(rows, rows)])
     if wanted is not None and expected > wanted:
         lines.append(
             f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
             f"{1e3 * wanted:.1f} mm wanted: more samples are needed"
+            + next_positions(problem, settled.fit.shared, covariance, settled.trust.line_sigma)
         )
     return tuple(lines)
-
-
-def mean_distance(exits: Array) -> float:
-    """Return the root mean square distance of each exit point from the truth, averaged [m]."""
-    return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
 
 
 def _rival_words(rival: Rival) -> str:
@@ -280,8 +335,9 @@ def _one_mirrored(problem: MotorAngleProblem, settled: SettledFit) -> list[Sampl
     Samples in a plane cannot tell the sides of it, cable by cable.
     """
     best, used = settled.fit, settled.trust.lengths
-    middle = best.position[used].mean(axis=0)
-    normal = np.linalg.svd(best.position[used] - middle, full_matrices=False)[2][2]
+    place = best.position[used, :3]
+    middle = place.mean(axis=0)
+    normal = np.linalg.svd(place - middle, full_matrices=False)[2][2]
     starts = []
     for cable, point in enumerate(problem.points(best.shared)):
         shared = best.shared.copy()
@@ -291,7 +347,12 @@ def _one_mirrored(problem: MotorAngleProblem, settled: SettledFit) -> list[Sampl
 
 
 def _mirrored(problem: MotorAngleProblem, other: SampleFit, best: SampleFit, trust: Trust) -> bool:
-    """Return whether a solution is the mirror image of the other one."""
+    """Return whether a solution is the mirror image of the other one.
+
+    A platform that turns has none: its anchor points are not mirrored.
+    """
+    if problem.own == 6:
+        return False
     both = [
         np.vstack([problem.points(one.shared), one.position[trust.lengths]])
         for one in (other, best)
@@ -306,7 +367,7 @@ def _mirrored(problem: MotorAngleProblem, other: SampleFit, best: SampleFit, tru
 def _outside(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> float:
     """Return the RMS distance of positions from the workspace over the workspace's diagonal."""
     low, high = problem.robot.workspace_min, problem.robot.workspace_max
-    place = solution.position[trust.lengths]
+    place = solution.position[trust.lengths, :3]
     out = np.maximum(low - place, 0.0) + np.maximum(place - high, 0.0)
     diagonal = float(np.linalg.norm(high - low))
     return float(np.sqrt((out**2).sum(axis=1).mean()) / diagonal)

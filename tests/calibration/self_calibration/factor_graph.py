@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.self_calibration.blunder_tests import SettledFit
-from calibration.self_calibration.problem import MotorAngleProblem
-from calibration.self_calibration.solver import POSITION_PRIOR_FACTOR
+from calibration.self_calibration.problem import POSITION_PRIOR_FACTOR, MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
 

@@ -23,6 +23,7 @@ class Options:
     distance: tuple = ()
     x_through: str | None = None
     accuracy: float | None = None
+    keeps_rotation: bool = False
     home_length_prior: float = 0.02
     radius_prior: float = 2e-3
 

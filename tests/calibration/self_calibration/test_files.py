@@ -152,3 +152,17 @@ def test_known_positions_can_be_left_out(tmp_path):
     assert angles.without_known(["2"]).is_known.tolist() == [True, False, False]
     with pytest.raises(InvalidField, match="sample: got 'x'; allowed: one of"):
         angles.without_known(["x"])
+
+
+def test_tensions_are_read_by_the_motor_s_name(tmp_path):
+    text = "sample,motor_a_deg,motor_b_deg,force_b_n,force_a_n\n0,0,0,3,2\n1,5,7,4,1\n"
+    angles = loaded(tmp_path, text)
+    assert angles.tension.tolist() == [[2.0, 3.0], [1.0, 4.0]]
+    write_motor_angles(angles, tmp_path / "again.csv")
+    assert np.array_equal(load_motor_angles(tmp_path / "again.csv").tension, angles.tension)
+    assert faults(tmp_path, text.replace("force_b_n", "force_c_n")) == (
+        "forces of ['c', 'a']; allowed: one of each motor, or none at all",
+    )
+    assert faults(tmp_path, text.replace("3,2", "-3,2")) == (
+        "line 2: force: got < 0; allowed: >= 0",
+    )

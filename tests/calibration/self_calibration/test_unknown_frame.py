@@ -1,5 +1,6 @@
 """Calibration with no known position, or with some coordinates of positions only."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -13,8 +14,10 @@ from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
 from tests.calibration.self_calibration.test_calibrate import SILENT, exits
+from tests.robots import eight_cable_robot
 
 SPAN = float(np.linalg.norm(EXITS[0] - EXITS[1]))
 TAPE = Distance(first="a", second="b", length=SPAN, sigma=1e-5)
@@ -230,6 +233,7 @@ def test_flat_crowded_and_few_samples_are_refused_with_the_reason(change, messag
     with pytest.raises(Unobservable, match=message) as caught:
         calibrate_motor_angles(angles, before, settings)
     assert "exit_points[" in str(caught.value) and "Allowed: samples spread" in str(caught.value)
+    assert "samples near (" in str(caught.value)
 
 
 def test_three_cables_have_nothing_to_spare():
@@ -283,11 +287,29 @@ def test_a_wrong_distance_is_noticed():
     assert any("10.0 standard deviations: is it between" in line for line in result.warnings)
 
 
+def test_samples_that_are_named_help_more_than_samples_at_home():
+    before, truth, place, _ = scene(20, 40, known=())
+    flat = np.where([True, True, False], place, 0.02 * place)
+    rng = np.random.default_rng(0)
+    settings = SelfCalibrationSettings(line_sigma=1e-3, length_at_zero_sigma=0.5)
+    angles = measure_motor_angles(truth, flat, np.arange(0), MeasurementNoise(), rng)
+    with pytest.raises(Unobservable) as caught:
+        calibrate_motor_angles(angles, before, settings)
+    named = np.array([
+        [float(part) for part in words.split(",")]
+        for words in re.findall(r"\(([-\d., ]+)\)(?=,| m would)", str(caught.value))
+    ])[-3:]  # fmt: skip
+    assert named[:, 2].max() > 1.0  # off the plane
+    more = np.vstack([flat, named])
+    angles = measure_motor_angles(truth, more, np.arange(0), MeasurementNoise(), rng)
+    assert calibrate_motor_angles(angles, before, settings).estimate.sigma[:12].max() < 0.1
+
+
 def test_a_wanted_accuracy_that_is_not_reached_is_a_warning():
     before, _, _, angles = scene(16, 40, known=())
     result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(accuracy=1e-4))
     (warning,) = result.warnings
-    assert "not to the 0.1 mm wanted: more samples are needed" in warning
+    assert "not to the 0.1 mm wanted: more samples are needed. Of the workspace, samp" in warning
 
 
 @pytest.mark.parametrize(
@@ -315,3 +337,98 @@ def test_a_hundred_samples_take_seconds():
     began = time.process_time()
     calibrate_motor_angles(angles, before)
     assert time.process_time() - began < 10.0
+
+
+def soft_scene(seed, *, stiffness=1.0, friction=0.0, count=50):
+    """Lines held by 5 to 60 N, as in torque mode, of a stiffness that is not what was thought."""
+    rng = np.random.default_rng(seed)
+    before, truth = robots(rng)
+    truth = replace(truth, axial_stiffness=stiffness * truth.axial_stiffness)
+    place = scene(seed, count)[2]
+    tension = rng.uniform(5.0, 60.0, (count, 4))
+    noise = MeasurementNoise(line=2e-4, friction=friction)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, tension=tension)
+    return before, truth, angles
+
+
+def test_measured_tensions_take_the_stretch_out():
+    before, truth, angles = soft_scene(1, stiffness=0.7)
+    tape = SelfCalibrationSettings(distances=(replace(TAPE, sigma=1e-4),))
+    result = calibrate_motor_angles(angles, before, tape)
+    blind = calibrate_motor_angles(replace(angles, tension=None), before, tape)
+    assert result.line_sigma < 0.5 * blind.line_sigma
+    rows = [result.estimate.index(f"axial_stiffness[{cable}]") for cable in "abcd"]
+    found = result.estimate.value[rows] / truth.axial_stiffness
+    assert found == pytest.approx(1.0, abs=0.1)
+    assert "stretch by the measured tensions" in " ".join(result.sentences())
+    wanted = replace(tape, accuracy=1e-5)
+    (warning,) = calibrate_motor_angles(angles, before, wanted).warnings
+    assert "samples near (" in warning
+    assert result.robot.axial_stiffness == pytest.approx(result.estimate.value[rows])
+
+
+def test_friction_in_the_tensions_is_noise_that_is_known():
+    squares = []
+    for seed in range(300, 306):
+        before, truth, angles = soft_scene(seed, friction=0.1)
+        result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=2e-4))
+        squares.append(frame_nees(result, truth))
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def rigid_scene(seed, count=60, line=1e-4):
+    """Eight cables to a box that turns by some 15 degrees per axis."""
+    rng = np.random.default_rng(seed)
+    robot = eight_cable_robot()
+    drums = {
+        "drum_radius": np.full(8, 0.08), "drum_buildup": np.full(8, 1e-5),
+        "drum_gear": np.full(8, 10.0), "drum_advantage": np.ones(8),
+    }  # fmt: skip
+    truth = replace(robot, **drums)
+    guess = robot.exit_points + rng.normal(0.0, 0.1, (8, 3))
+    before = loose(replace(truth, exit_points=guess), 0.1)
+    place = rng.uniform(robot.workspace_min, robot.workspace_max, (count, 3))
+    turns = rng.normal(0.0, 0.25, (count, 3))
+    place[0], turns[0] = robot.home_position, 0.0
+    rotation = from_rotation_vector(turns) @ robot.home_rotation
+    noise = MeasurementNoise(line=line)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, rotation=rotation)
+    return before, truth, place, rotation, angles
+
+
+def test_eight_cables_tell_the_rotations_of_a_platform_too():
+    squares = []
+    for seed in range(4):
+        before, truth, place, rotation, angles = rigid_scene(seed)
+        span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
+        tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
+        settings = SelfCalibrationSettings(
+            line_sigma=1e-4, length_at_zero_sigma=0.1, distances=(tape,)
+        )
+        result = calibrate_motor_angles(angles, before, settings)
+        assert result.warnings == ()
+        error = result.estimate.value[:24] - truth.exit_points.ravel()
+        covariance = result.estimate.covariance[:24, :24]
+        squares.append(float(error @ np.linalg.solve(covariance, error)))
+        turned = np.linalg.norm(result.rotation - rotation, axis=(1, 2))
+        assert turned.max() < 0.03
+        assert np.abs((result.position - place)[1:] / result.position_sigma[1:]).max() < 5.0
+        assert result.frame.free.shape[1] == 0  # home fixes the turns as well
+    (warning,) = calibrate_motor_angles(angles, before, replace(settings, accuracy=1e-5)).warnings
+    assert "samples near (" in warning
+    low, high = chi2.ppf([0.005, 0.995], 24 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_a_platform_that_turns_is_refused_with_what_helps():
+    before, _, _, angles = scene(19, 40, known=())
+    apart = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    wide = replace(before, anchor_points=apart)
+    with pytest.raises(
+        Unobservable, match="4 cables have nothing to spare for its rotation"
+    ) as one:
+        calibrate_motor_angles(angles, wide)
+    assert "AHRS, swivel angles or load cells" in str(one.value)
+    held = SelfCalibrationSettings(keeps_rotation=True)
+    assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
