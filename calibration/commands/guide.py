@@ -141,6 +141,7 @@ def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,
+        friction_share=0.0,  # load cells at the platform
         distances=tuple(distances),
     )
 
