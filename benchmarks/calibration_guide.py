@@ -95,7 +95,8 @@ def exit_error(fit: GuideFit, true: Robot, home: Array) -> float:
 
 def priors(true: Robot, seed: int) -> SelfCalibrationSettings:
     """Return what is known before: one distance by tape."""
-    return SelfCalibrationSettings(distances=(taped_distance(true, "a", "b", seed),))
+    tape = taped_distance(true, "a", "b", seed)
+    return SelfCalibrationSettings(friction_share=0.0, distances=(tape,))
 
 
 def by_hand(robot: Robot, seed: int, *, at_random: bool) -> Outcome:

@@ -68,6 +68,8 @@ class Options(CommonOptions):
     """Say where to put the platform and wait for Enter, instead of moving it."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches of a real robot move."""
+    reset: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Clear the fault that a PLC holds from an earlier run, once you know why it came."""
     accuracy: float = GuideSettings.accuracy
     """Wanted standard deviation of the exit points, the mean of their distances from the truth
     [m]; turns of the whole robot about home, which no length tells, left out."""
@@ -102,8 +104,8 @@ def run(options: Options) -> CommandResult:
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
             verdict = _guided(guide, session, settings, robot)
-        except Stopped:
-            print(f"\nstopped; the same command goes on from {options.samples}")
+        except Stopped as error:
+            print(f"\nstopped: {error}; the same command goes on from {options.samples}")
             return CommandResult({"samples": len(samples.names)}, status=1)
     if options.output is not None:
         noise = replace(priors, line_sigma=guide.known.line_sigma)
@@ -139,6 +141,7 @@ def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,
+        friction_share=0.0,  # load cells at the platform
         distances=tuple(distances),
     )
 
@@ -151,7 +154,7 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
         )
     return real(
         robot, options.robot, options.driver, settings, options.settings,
-        by_hand=options.by_hand, enable=options.enable,
+        by_hand=options.by_hand, enable=options.enable, reset=options.reset,
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 
 SUITE = "lengths+tension"
+SLACK_TIME_S = 30.0  # [s] in which the guide itself has slack cables tightened, or gives up
 SPEED_RATIO = 1.5  # of the fastest winch to the platform, with the feedback of tensions
 
 
@@ -30,7 +31,7 @@ def guard_limits(robot: Robot, settings: GuideSettings) -> dict[str, object]:
     size = float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).max())
     return {
         "closure_max": size, "belief_max": size, "workspace_margin": size,
-        "tension_shift_max": None, "first_shift_max": None, "enable_at_once": False,
+        "tension_shift_max": None, "enable_at_once": False, "slack_time": SLACK_TIME_S,
         "speed_max": SPEED_RATIO * settings.speed,
     }  # fmt: skip
 

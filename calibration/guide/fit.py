@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.self_calibration.balance import operating_tensions
 from calibration.self_calibration.knowledge import Knowledge, spare_directions
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
@@ -68,14 +69,17 @@ class Surprise:
         return float(self.error @ np.linalg.solve(self.covariance, self.error))
 
 
-def nothing_measured(robot: Robot, settings: SelfCalibrationSettings) -> Knowledge:
-    """Return what is known of a robot before any sample."""
+def nothing_measured(
+    robot: Robot, settings: SelfCalibrationSettings, *, tension: bool = False
+) -> Knowledge:
+    """Return what is known of a robot before any sample; `tension`: whether it is measured."""
     angles = MotorAngles(
         samples=("home",),
         cables=robot.cable_names,
         motor_angle=np.zeros((1, robot.n)),
         known_position=robot.home_position[None],
         is_known=np.ones(1, dtype=np.bool_),
+        tension=operating_tensions(robot)[0][None] if tension else None,
     )
     problem = MotorAngleProblem(robot, angles, settings)
     mean = problem.prior.mean
@@ -118,23 +122,45 @@ def refit(before: Knowledge, angles: MotorAngles, position: Array) -> GuideFit:
     return GuideFit(known=known, position=position, spread=float(np.sqrt(square.mean())))
 
 
-def surprise(known: Knowledge, motor_angle: Array, position: Array) -> Surprise:
-    """Compare one sample with what was known before it.
+def first(angles: MotorAngles, count: int) -> MotorAngles:
+    """Return the first samples."""
+    return _rows(angles, slice(0, count))
+
+
+def surprises(known: Knowledge, angles: MotorAngles, position: Array) -> list[Surprise]:
+    """Compare samples, one by one, with what was known before them.
 
     Args:
-        known: Knowledge without this sample.
-        motor_angle: [rad], shape (n,).
-        position: Start of its position [m], shape (3,).
+        known: Knowledge without these samples.
+        angles: N samples.
+        position: Start of their positions [m], shape (3,).
     """
-    robot = known.problem.robot
-    angles = MotorAngles(
-        samples=("here",),
-        cables=robot.cable_names,
-        motor_angle=motor_angle[None],
-        known_position=robot.home_position[None],
-        is_known=np.ones(1, dtype=np.bool_),
+    return [
+        _surprise(known, _rows(angles, slice(k, k + 1)), position)
+        for k in range(len(angles.samples))
+    ]
+
+
+def _rows(angles: MotorAngles, rows: slice) -> MotorAngles:
+    """Return some samples."""
+    return replace(
+        angles,
+        samples=angles.samples[rows],
+        motor_angle=angles.motor_angle[rows],
+        known_position=angles.known_position[rows],
+        is_known=angles.is_known[rows],
+        known_axes=None if angles.known_axes is None else angles.known_axes[rows],
+        tension=None if angles.tension is None else angles.tension[rows],
     )
-    problem = MotorAngleProblem(robot, angles, known.settings)
+
+
+def _surprise(known: Knowledge, sample: MotorAngles, position: Array) -> Surprise:
+    """Compare one sample with what was known before it."""
+    robot = known.problem.robot
+    there = replace(
+        sample, known_position=position[None], is_known=np.ones(1, dtype=np.bool_), known_axes=None
+    )
+    problem = MotorAngleProblem(robot, there, known.settings)
     where = position[None]
     for _ in range(POSITION_STEPS):
         white = whiten(problem, known.shared, where, known.line_sigma)

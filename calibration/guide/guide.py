@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.guide.fit import GuideFit, Surprise, nothing_measured, refit, surprise
+from calibration.guide.fit import GuideFit, Surprise, first, nothing_measured, refit, surprises
 from calibration.guide.mover import Mover
 from calibration.guide.samples import CHECK_PREFIX, HOME_SAMPLE, Rest, SampleFile
 from calibration.guide.settings import GuideSettings
+from calibration.self_calibration.balance import operating_tensions
 from calibration.self_calibration.knowledge import Knowledge
-from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.safe_tensions import operating_tensions
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.suggested_positions import (
     Reach,
@@ -79,7 +78,7 @@ class Guide:
         self._seed, self._at_random, self._attempt = seed, at_random, 0
         self.samples = samples
         self.fit: GuideFit | None = None
-        self._known = nothing_measured(robot, priors)
+        self._priors, self._known = priors, nothing_measured(robot, priors)
         self._here = np.array(robot.home_position)
         self._shorter = 1.0
 
@@ -100,19 +99,25 @@ class Guide:
             The fit, or None where there are no samples yet.
         """
         rest = self._mover.rest()
-        if self.samples.reference is None:
+        fresh = self.samples.reference is None
+        if fresh:
             self.samples.start(rest)
+        assert self.samples.reference is not None
+        measured = self.samples.reference.tension is not None
+        self._known = nothing_measured(self._robot, self._priors, tension=measured)
+        if fresh:
             return None
         if self.samples.names:
             angles = self.samples.measured()
             place = self._robot.home_position[None]
             for count in range(1, len(angles.samples) + 1):
-                self._take(refit(self._known, _first(angles, count), place))
+                self._take(refit(self._known, first(angles, count), place))
                 if count < len(angles.samples):
-                    ahead = surprise(self._known, angles.motor_angle[count], place[-1])
+                    ahead = surprises(self._known, first(angles, count + 1), place[-1])[-1]
                     assert self.fit is not None
                     place = np.vstack([self.fit.position, ahead.position])
-        self._here = surprise(self._known, self.samples.angle(rest), self._here).position
+        (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
+        self._here = now.position
         return self.fit
 
     def collect(self) -> Iterator[Progress]:
@@ -148,8 +153,8 @@ class Guide:
         """Checks of this run and of those before, against the present knowledge."""
         if not self._checked:
             return ()
-        angles = self.samples.measured(checks=True).motor_angle
-        return tuple(surprise(self._known, angle, self._robot.home_position) for angle in angles)
+        angles = self.samples.measured(checks=True)
+        return tuple(surprises(self._known, angles, self._robot.home_position))
 
     def _first_sample(self) -> Progress:
         """Tighten the cables at home, and take what is there for home."""
@@ -172,7 +177,7 @@ class Guide:
             target = self._mover.while_holding(choose)
             remark = self._mover.move(self._known, self._here, target)
             rest = self._mover.rest()
-            ahead = surprise(self._known, self.samples.angle(rest), target)
+            (ahead,) = surprises(self._known, self.samples.one(name, rest), target)
             if self._taut(rest) and (not remark or self._is_new(ahead.position)):
                 return self._taken(name, target, ahead, remark, rest)
             self._here = ahead.position
@@ -252,17 +257,6 @@ class Guide:
     def _rng(self) -> np.random.Generator:
         """Return the source of candidates of this move: the same one after a crash."""
         return np.random.default_rng((self._seed, len(self.samples.names), self._attempt))
-
-
-def _first(angles: MotorAngles, count: int) -> MotorAngles:
-    """Return the first samples."""
-    return replace(
-        angles,
-        samples=angles.samples[:count],
-        motor_angle=angles.motor_angle[:count],
-        known_position=angles.known_position[:count],
-        is_known=angles.is_known[:count],
-    )
 
 
 def _newtons(rest: Rest) -> str:

@@ -19,12 +19,9 @@ import numpy as np
 
 from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
+from calibration.self_calibration.balance import force_balance, operating_tensions
 from calibration.self_calibration.knowledge import Knowledge, expected_angles, spare_directions
-from calibration.self_calibration.safe_tensions import (
-    force_balance,
-    operating_tensions,
-    tension_error,
-)
+from calibration.self_calibration.safe_tensions import tension_error
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.protocols import Driver

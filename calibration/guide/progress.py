@@ -18,7 +18,7 @@ def header() -> str:
     """Return the two lines above the samples."""
     return (
         f"{'sample':>8}  {'position [m]':^22}  {'spread':>7}  {'predicted to':>12}  "
-        f"{'was off by':>10}  {'exit points, 1 sigma [mm]':>25}\n"
+        f"{'was off by':>10}  {'exit points, 1 sigma [mm]':>25}  {'':{BAR_WIDTH}}tensions\n"
         f"{'':>8}  {'x':>6} {'y':>7} {'z':>7}  {'[mm]':>7}  {'[mm]':>12}  {'[mm]':>10}  "
         f"{'mean':>8} {'largest':>8} {'median':>7}"
     )

@@ -46,7 +46,8 @@ class SampleFile:
     Attributes:
         path: The CSV.
         names: One per sample.
-        motor_angles: Since the reference, of cables that do not stretch [rad], (N, n).
+        motor_angles: Since the reference [rad], N of shape (n,).
+        tensions: [N], N of shape (n,); none where the driver measures none.
         reference: Readings where all angles are 0 [m], shape (n,), or None before the first.
     """
 
@@ -63,6 +64,7 @@ class SampleFile:
         self.path, self._robot, self._drums = path, robot, drums_of(robot)
         self.names: list[str] = []
         self.motor_angles: list[Array] = []
+        self.tensions: list[Array] = []
         self.reference: Rest | None = None
         if path.exists():
             self._read()
@@ -75,6 +77,8 @@ class SampleFile:
         """
         self.reference = reference
         header = ["sample", *(f"motor_{name}_rad" for name in self._robot.cable_names)]
+        if reference.tension is not None:
+            header += [f"force_{name}_n" for name in self._robot.cable_names]
         header += [f"known_{axis}_m" for axis in "xyz"]
         note = json.dumps({"robot": self._robot.name, **_numbers(reference)})
         try:
@@ -88,44 +92,48 @@ class SampleFile:
 
     def add(self, name: str, rest: Rest) -> None:
         """Append a sample; it is on the disk when this returns."""
-        angle = self.angle(rest)
+        row = self.one(name, rest)
         self.names.append(name)
-        self.motor_angles.append(angle)
+        self.motor_angles.append(row.motor_angle[0])
+        numbers = [*row.motor_angle[0]]
+        if row.tension is not None:
+            self.tensions.append(row.tension[0])
+            numbers += [*row.tension[0]]
+        cells = [name, *(repr(float(x)) for x in numbers)]
         known = [repr(float(x)) for x in self._robot.home_position]
-        cells = [name, *(repr(float(x)) for x in angle)]
         cells += known if name == HOME_SAMPLE else [""] * 3
         note = json.dumps({"name": name, **_numbers(rest)})
         self._append(f"{_SAMPLE}{note}\n{','.join(cells)}\n")
 
-    def angle(self, rest: Rest) -> Array:
-        """Return the motor angles since the reference of cables that do not stretch [rad], (n,).
-
-        A tension f lengthens a cable by f L / EA; its motor would have paid out so much more.
-        """
+    def one(self, name: str, rest: Rest) -> MotorAngles:
+        """Return one sample that is not in the file."""
         assert self.reference is not None
-        here, there = (self._stiff_angle(one) for one in (rest, self.reference))
-        return np.asarray(here - there)
+        turned = self._drums.motor_angle(rest.length) - self._drums.motor_angle(
+            self.reference.length
+        )
+        tensions = [] if rest.tension is None or self.reference.tension is None else [rest.tension]
+        return self._angles([name], [turned], [np.maximum(f, 0.0) for f in tensions])
 
     def measured(self, *, checks: bool = False) -> MotorAngles:
         """Return the samples of the fit, or those of the checks."""
         rows = [k for k, name in enumerate(self.names) if name.startswith(CHECK_PREFIX) == checks]
-        names = tuple(self.names[k] for k in rows)
-        known = np.array([name == HOME_SAMPLE for name in names], dtype=np.bool_)
-        return MotorAngles(
-            samples=names,
-            cables=self._robot.cable_names,
-            motor_angle=np.array([self.motor_angles[k] for k in rows]),
-            known_position=np.where(known[:, None], self._robot.home_position, 0.0),
-            is_known=known,
+        return self._angles(
+            [self.names[k] for k in rows],
+            [self.motor_angles[k] for k in rows],
+            [self.tensions[k] for k in rows] if self.tensions else [],
         )
 
-    def _stiff_angle(self, rest: Rest) -> Array:
-        """Return the motor angle from length 0 of a cable that does not stretch [rad], (n,)."""
-        length = rest.length
-        if rest.tension is not None:
-            robot = self._robot
-            length = length + rest.tension * (length + robot.run_length) / robot.axial_stiffness
-        return self._drums.motor_angle(length)
+    def _angles(self, names: list[str], turned: list[Array], tension: list[Array]) -> MotorAngles:
+        """Return samples, of which home is known."""
+        known = np.array([name == HOME_SAMPLE for name in names], dtype=np.bool_)
+        return MotorAngles(
+            samples=tuple(names),
+            cables=self._robot.cable_names,
+            motor_angle=np.array(turned),
+            known_position=np.where(known[:, None], self._robot.home_position, 0.0),
+            is_known=known,
+            tension=np.array(tension) if tension else None,
+        )
 
     def _append(self, text: str) -> None:
         """Write at the end, all at once, and wait for the disk."""
@@ -160,6 +168,7 @@ class SampleFile:
         if any(line and not line.startswith("#") for line in lines[2:]):
             angles = load_motor_angles(self.path).in_order_of(self._robot.cable_names)
             self.names, self.motor_angles = list(angles.samples), list(angles.motor_angle)
+            self.tensions = [] if angles.tension is None else list(angles.tension)
 
     def _note(self, line: str, start: str) -> dict[str, Any]:
         """Read the numbers in a comment."""

@@ -96,7 +96,7 @@ def simulated(
 @contextlib.contextmanager
 def real(
     robot: Robot, name: str, driver: str, settings: GuideSettings, texts: Sequence[str], *,
-    by_hand: bool, enable: bool,
+    by_hand: bool, enable: bool, reset: bool,
 ) -> Iterator[Session]:  # fmt: skip
     """Connect a real robot behind the guard; where it is by hand, nothing is sent to it.
 
@@ -108,6 +108,7 @@ def real(
         texts: Settings of the driver, as ``--set``.
         by_hand: Whether a person moves it.
         enable: Whether the winches may move.
+        reset: Whether to clear a fault that the drives hold.
 
     Raises:
         InvalidField: Neither by hand nor enabled.
@@ -124,7 +125,7 @@ def real(
     x, y, z = (float(v) for v in robot.home_position)
     asked = run_options.Options(
         robot=name, driver=driver, enable=not by_hand, home=(x, y, z), speed=settings.speed,
-        sensors="lengths" if by_hand else SUITE,
+        sensors="lengths" if by_hand else SUITE, reset=reset and not by_hand,
     )  # fmt: skip
     guard = make_guard(robot, asked, chosen, settings.period)
     with without_ads_lines():

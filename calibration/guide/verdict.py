@@ -52,8 +52,10 @@ class Verdict:
 
     def sentences(self) -> list[str]:
         """Return the verdict in words."""
+        count = len(self.checks)
+        moves = "1 move was" if count == 1 else f"{count} moves were"
         lines = [
-            f"{len(self.checks)} moves were predicted before they were made: the spare lengths "
+            f"{moves} predicted before being made: the spare lengths "
             f"were off by {1e3 * self.rms:.2f} mm of line RMS, {1e3 * self.sigma:.2f} mm were "
             "claimed"
         ]

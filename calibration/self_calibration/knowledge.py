@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.self_calibration.balance import expected_tension
 from calibration.self_calibration.frame import mean_distance
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
@@ -90,25 +91,34 @@ def expected_angles(known: Knowledge, position: Array) -> Array:
         position: Platform origin in W [m], shape (C, 3).
     """
     problem, shared = known.problem, known.shared
-    straight, _ = problem.straight(shared, position)
+    length, _ = problem.straight(shared, position)
+    if problem.angles.tension is not None:
+        tension = expected_tension(problem, shared, position)
+        robot = problem.robot
+        strain = tension * (1.0 + shared[problem.compliances]) / robot.axial_stiffness
+        length = (length - robot.run_length * strain) / (1.0 + strain)
     drums = replace(
         drums_of(problem.robot),
         radius=problem.radius + shared[problem.radii],
         buildup=shared[problem.buildups],
     )
-    return drums.motor_angle(straight - shared[problem.zeros])
+    return drums.motor_angle(length - shared[problem.zeros])
 
 
 def problem_at(known: Knowledge, position: Array) -> MotorAngleProblem:
     """Return the problem of samples that would be taken at these positions."""
+    problem, tension = known.problem, None
+    if problem.angles.tension is not None:
+        tension = expected_tension(problem, known.shared, position)
     angles = MotorAngles(
         samples=tuple(str(k) for k in range(len(position))),
-        cables=known.problem.robot.cable_names,
+        cables=problem.robot.cable_names,
         motor_angle=expected_angles(known, position),
         known_position=position,
         is_known=np.ones(len(position), dtype=np.bool_),
+        tension=tension,
     )
-    return MotorAngleProblem(known.problem.robot, angles, known.settings)
+    return MotorAngleProblem(problem.robot, angles, known.settings)
 
 
 def spare_directions(slope: Array) -> Array:

@@ -32,7 +32,8 @@ def test_another_process_reads_the_same(file):
     assert again.names == ["home", "1", "check_1"]
     assert np.array(again.motor_angles) == pytest.approx(np.array(file.motor_angles), abs=0.0)
     assert again.reference.length == pytest.approx(file.reference.length, abs=0.0)
-    assert again.angle(rest(0.3)) == pytest.approx(file.angle(rest(0.3)), abs=0.0)
+    angles = [one.one("x", rest(0.3)).motor_angle for one in (again, file)]
+    assert angles[0] == pytest.approx(angles[1], abs=0.0)
     again.add("2", rest(0.2))
     assert SampleFile(file.path, ROBOT).names[-1] == "2"
 
@@ -69,15 +70,15 @@ def test_a_file_that_was_cut_before_any_sample_begins_anew(file):
         assert SampleFile(file.path, ROBOT).names == ["home"]
 
 
-def test_a_stretched_cable_has_paid_out_less_than_a_stiff_one_of_that_length(tmp_path):
+def test_tensions_are_kept_beside_the_angles(tmp_path):
+    pull = np.array([3.0, 4.0, 5.0, 20.0])
     file = SampleFile(tmp_path / "samples.csv", ROBOT)
-    file.start(rest(tension=np.zeros(4)))
-    pulled = rest(tension=np.array([0.0, 100.0, 0.0, 0.0]))
-    stretch = 100.0 * LENGTH[1] / ROBOT.axial_stiffness[1]
-    assert file.angle(pulled)[[0, 2, 3]] == pytest.approx(0.0, abs=1e-12)
-    assert file.angle(pulled)[1] == pytest.approx(
-        file.angle(rest([0.0, stretch, 0.0, 0.0], np.zeros(4)))[1]
-    )
+    file.start(rest(tension=pull))
+    file.add("home", rest(tension=pull))
+    file.add("1", rest(0.1, tension=2.0 * pull))
+    for angles in (load_motor_angles(file.path), SampleFile(file.path, ROBOT).measured()):
+        assert angles.tension == pytest.approx(np.array([pull, 2.0 * pull]), abs=0.0)
+    assert file.one("2", rest(tension=-pull)).tension.max() == 0.0  # noise of a slack cable
 
 
 def test_other_files_are_refused(tmp_path, file):

@@ -8,8 +8,9 @@ import pytest
 import carosac_toolkit as ct
 from calibration.guide.fit import nothing_measured, refit
 from calibration.guide.simulated import draw_true_robot, taut_tensions
+from calibration.self_calibration.balance import operating_tensions
 from calibration.self_calibration.knowledge import spare_lengths
-from calibration.self_calibration.safe_tensions import operating_tensions, tension_error
+from calibration.self_calibration.safe_tensions import tension_error
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.suggested_positions import (
     NoSafePosition,
