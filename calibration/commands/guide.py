@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from calibration.guide import progress as shown
@@ -36,6 +37,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+
+POINT_SHARE = 0.02  # of the longest cable: anchor points closer together count as one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +67,8 @@ class Options(CommonOptions):
     """Standard deviation of the lengths at home in the robot file [m]."""
     radius_prior: float = SelfCalibrationSettings.drum_radius_sigma
     """Standard deviation of the drums' radius in the robot file [m]."""
+    keeps_rotation: tyro.conf.FlagCreatePairsOff[bool] = False
+    """The platform keeps its rotation from home by its build, though its cables end apart."""
     by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
     """Say where to put the platform and wait for Enter, instead of moving it."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -95,7 +100,7 @@ def run(options: Options) -> CommandResult:
     )  # fmt: skip
     robot = load_robot(options.robot)
     check_drums(robot)
-    _check_cables(robot)
+    _check_platform(options, robot)
     _check_options(options)
     check_output("--output", options.output, options.robot)
     samples = SampleFile(Path(options.samples), robot)
@@ -141,6 +146,7 @@ def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,
+        keeps_rotation=options.keeps_rotation,
         friction_share=0.0,  # load cells at the platform
         distances=tuple(distances),
     )
@@ -214,11 +220,20 @@ def _sentences(guide: Guide, session: Session, verdict: Verdict | None) -> list[
     return lines + (["no moves were checked"] if verdict is None else verdict.sentences())
 
 
-def _check_cables(robot: Robot) -> None:
-    """Refuse robots whose lengths alone are never redundant."""
+def _check_platform(options: Options, robot: Robot) -> None:
+    """Refuse robots whose lengths tell nothing, or whose platform is no point."""
     if robot.n <= 3:
         allowed = "at least 4 cables: the lengths of 3 tell a position, and nothing of the robot"
         raise InvalidField("robot", f"{robot.name!r} with {robot.n} cables", allowed)
+    apart = float(np.ptp(robot.anchor_points, axis=0).max())
+    longest = float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).max())
+    if apart > POINT_SHARE * longest and not options.keeps_rotation:
+        got = f"anchor points {apart:.3g} m apart on the platform of {robot.name!r}"
+        allowed = (
+            f"a point-like platform, under {POINT_SHARE * longest:.3g} m, or --keeps-rotation "
+            "for one that is built to; others need measured poses: carosac calibrate lengths"
+        )
+        raise InvalidField("robot", got, allowed)
 
 
 def _check_options(options: Options) -> None:

@@ -73,6 +73,24 @@ def test_a_second_run_goes_on_with_the_samples_of_the_first(tmp_path):
     assert len(fourth.checked) == SETTINGS.checks
 
 
+def test_lengths_that_lost_their_meaning_are_no_continuation(tmp_path):
+    """As after homing anew at another place, or a slipped cable."""
+    first, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS)
+    first.resume()
+    list(first.collect())
+
+    def shifted(hand):
+        def read():
+            rest = hand.read()
+            return Rest(length=rest.length + np.array([0.05, 0.0, 0.0, 0.0]), tension=rest.tension)
+
+        return read
+
+    second, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS, read=shifted)
+    with pytest.raises(CarosacError, match="the lengths now do not belong to these samples"):
+        second.resume()
+
+
 def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_path):
     slip = np.zeros(4)
 
