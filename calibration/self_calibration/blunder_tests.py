@@ -28,6 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 CHECKED_VARIANCE_MIN = 0.05  # share of its own noise that a combination must show for a test of it
 NOISE_ROUNDS_MAX = 20
+ROUND_STEPS_MAX = 10  # steps of a robust fit in each of them
 POSITION_STEPS_MAX = 20  # Gauss-Newton steps
 POSITION_STEP_MIN_M = 1e-7  # [m]
 NOISE_CHANGE_MIN = 0.01  # relative change of the noise
@@ -205,7 +206,7 @@ def _soft(
         line = max(trust.line_sigma * change, LINE_SIGMA_MIN_M)
         done = abs(change - 1.0) < NOISE_CHANGE_MIN or line == LINE_SIGMA_MIN_M
         trust = replace(trust, line_sigma=line)
-        solution = fit(problem, solution.shared, solution.position, trust)
+        solution = fit(problem, solution.shared, solution.position, trust, steps=ROUND_STEPS_MAX)
         if done:
             break
     return solution, trust

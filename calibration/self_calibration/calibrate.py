@@ -12,17 +12,15 @@ from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
+from calibration.self_calibration.rivals import Rival, better_rival, find_rivals
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
 from calibration.self_calibration.starting_points import LINE_SIGMA_START_M, starts
 from calibration.self_calibration.verdict import (
-    Rival,
-    better_rival,
     check_determined,
     check_reference,
     check_rotation,
-    find_rivals,
     warnings_of,
 )
 from carosac_toolkit.base.arrays import Array

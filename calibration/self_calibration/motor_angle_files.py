@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.self_calibration.hangprinter_logs import is_log, parse_log
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
@@ -36,12 +37,14 @@ class _Column:
 
 
 def holds_motor_angles(path: Path) -> bool:
-    """Return whether a file is a CSV with motor angles; False where it cannot be read."""
+    """Return whether a file has motor angles, as a table or a log; False where it is unreadable."""
     try:
         with path.open(encoding="utf-8-sig") as stream:
             for line in stream:
                 if line.strip() and not line.startswith("#"):
-                    return any(_MOTOR_COLUMN.fullmatch(cell.strip()) for cell in line.split(","))
+                    return is_log(line) or any(
+                        _MOTOR_COLUMN.fullmatch(cell.strip()) for cell in line.split(",")
+                    )
     except (OSError, UnicodeDecodeError):
         pass
     return False
@@ -54,7 +57,8 @@ def load_motor_angles(path: str | Path) -> MotorAngles:
     motor (deg or rad, positive paying cable out), ``known_x_mm``, ``known_y_mm``, ``known_z_mm``
     (or ``_m``), blank or missing where a coordinate is unknown, and ``known_sigma_x_mm`` and so on
     if they differ from the settings, ``force_NAME_n`` for each motor, or for none, the tension with
-    which it holds its cable [N]. Lines that start with # are comments.
+    which it holds its cable [N]. Lines that start with # are comments. A file whose first line
+    begins with a bracket is read as by `hangprinter_logs`.
 
     Raises:
         MissingFile: There is no such file.
@@ -67,6 +71,8 @@ def load_motor_angles(path: str | Path) -> MotorAngles:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"this is no text file: {error}"]) from error
+    if is_log(text):
+        return parse_log(path, text)
     lines = [
         (number, csv_cells(path, number, line))
         for number, line in enumerate(text.splitlines(), start=1)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.result import CalibrationResult
 from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.rivals import OUTSIDE_SHARE, Rival
 from calibration.self_calibration.scale import Scale
-from calibration.self_calibration.verdict import OUTSIDE_SHARE, Rival
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameter_names import field_of
 
@@ -116,6 +116,7 @@ class SelfCalibration(CalibrationResult):
             "robot": self.before.name,
             "positions_m": {name: place for name, place, _, _ in each},
             "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
+            "rotations": dict(zip(self.samples, self.rotation, strict=True)),
             "residuals_m": {name: miss for name, _, _, miss in each},
             "residual_rms_m": self.residual_rms,
             "line_residual_rms_m": self.line_residual_rms,

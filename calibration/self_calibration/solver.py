@@ -14,6 +14,7 @@ from carosac_toolkit.base.arrays import Array
 
 CAUCHY_SIGMAS = 3.0  # standard deviations from which on a robust fit lets go of a sample
 COST_CHANGE_MIN = 1e-8  # relative change of the cost that ends a fit
+DAMPING_MIN = 1e-12
 DAMPING_MAX = 1e8  # damping with which no step is left
 
 Mask = NDArray[np.bool_]
@@ -150,23 +151,26 @@ def fit(
         trust: Data that count.
         steps: At most.
     """
-    damping, cost, converged = 1e-3, equations(problem, shared, position, trust).cost, False
+    damping, converged = 1e-3, False
+    system = equations(problem, shared, position, trust, damping)
     for _ in range(steps):
         while damping < DAMPING_MAX:
-            system = equations(problem, shared, position, trust, damping)
             change = -_solve(system.information, system.gradient)
             moved = position + system.step + system.by_shared @ change
-            new = equations(problem, shared + change, moved, trust).cost
-            if new <= cost:
+            milder = max(damping / 10.0, DAMPING_MIN)
+            new = equations(problem, shared + change, moved, trust, milder)
+            if new.cost <= system.cost:
                 break
             damping *= 5.0
+            system = equations(problem, shared, position, trust, damping)
         else:
             break
-        gain, damping = cost - new, max(damping / 10.0, 1e-12)
-        shared, position, cost = shared + change, moved, new
-        converged = gain <= COST_CHANGE_MIN * (cost + 1.0)
+        gain, damping = system.cost - new.cost, milder
+        shared, position, system = shared + change, moved, new
+        converged = gain <= COST_CHANGE_MIN * (system.cost + 1.0)
         if converged:
             break
+    cost = system.cost
     return SampleFit(shared=shared, position=position, cost=cost, converged=converged)
 
 

@@ -25,6 +25,7 @@ PLACES_KEPT = 3  # of one exit point that are kept
 PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
 COMBINATIONS_KEPT = 32  # combinations that are tried
 STARTS_KEPT = 4
+BATCH_STEPS_MAX = 30  # steps of a fit of all samples after the batch of starts
 SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
 GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
 
@@ -91,7 +92,8 @@ def _from_batch(problem: MotorAngleProblem) -> list[SampleFit]:
             )
         )
     fits = [
-        fit(problem, end.shared, end.position, trust) for end in _different_shapes(problem, ends)
+        fit(problem, end.shared, end.position, trust, steps=BATCH_STEPS_MAX)
+        for end in _different_shapes(problem, ends)
     ]
     return _different_shapes(problem, fits)
 

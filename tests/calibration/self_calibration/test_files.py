@@ -166,3 +166,38 @@ def test_tensions_are_read_by_the_motor_s_name(tmp_path):
     assert faults(tmp_path, text.replace("3,2", "-3,2")) == (
         "line 2: force: got < 0; allowed: >= 0",
     )
+
+
+LOG = """# torque mode, mover dragged
+motor_pos_samp = np.array([
+    [0, -0.07, 0.0],
+    [-4834.89, 7431.31, 1309.72, ],
+    [9, 8, 7],
+])
+xyz_of_samp = np.array([[0, 0, 0], [nan, np.nan, 100.5]])
+"""
+
+
+def test_what_a_hangprinter_answers_is_read(tmp_path):
+    angles = loaded(tmp_path, LOG)
+    assert holds_motor_angles(tmp_path / "angles.csv")
+    assert angles.cables == ("01", "02", "03") and angles.samples == ("0", "1", "2")
+    assert angles.motor_angle[1] == pytest.approx(np.radians([-4834.89, 7431.31, 1309.72]))
+    assert angles.known_axes.tolist() == [[True] * 3, [False, False, True], [False] * 3]
+    assert angles.known_position[1, 2] == pytest.approx(0.1005)
+    bare = loaded(tmp_path, "[0, 0],\n[1, 2],\n")
+    assert bare.motor_angle[1] == pytest.approx(np.radians([1.0, 2.0]))
+    assert not bare.is_known.any()
+
+
+def test_faults_of_a_log_come_with_their_lines(tmp_path):
+    assert faults(tmp_path, LOG.replace("1309.72, ", "1309.72, x")) == (
+        "line 4: got 'x'; allowed: a number",
+        "line 4: got 4 numbers; allowed: 3 angles, as in the first list",
+    )
+    assert faults(tmp_path, "[1, 2]\n[nan, 2]\n[]\n") == (
+        "line 2: got 'nan'; allowed: a number",
+        "line 3: got 0 numbers; allowed: 2 angles, as in the first list",
+    )
+    more = "motor_pos_samp = [[1, 2]]\nxyz_of_samp = [[1, 2, 3], [4, 5, 6]]\n"
+    assert faults(tmp_path, more)[0].startswith("xyz_of_samp: got 2 lists; allowed: at most 1")
