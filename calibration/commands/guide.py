@@ -7,7 +7,8 @@ moves are predicted before they are made: their errors against the claim are the
 Every sample is on the disk before the next move. Started again with the same file, the guide goes
 on where it was stopped. Without --enable nothing moves, but for the simulated robot.
 
-Exit status 1 means that the accuracy was not reached, or that the verdict is negative.
+Exit status 1 means that the accuracy was not reached, or that the verdict is negative; 128 and the
+number of a signal, such as 130, that it was stopped.
 """
 
 from __future__ import annotations
@@ -108,10 +109,12 @@ def run(options: Options) -> CommandResult:
         priors = _priors(options, session)
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
-            verdict = _guided(guide, session, settings, robot)
+            verdict = _guided(options, guide, session, settings, robot)
         except Stopped as error:
             print(f"\nstopped: {error}; the same command goes on from {options.samples}")
-            return CommandResult({"samples": len(samples.names)}, status=1)
+            number = None if session.ending is None else session.ending.signal
+            status = 1 if number is None else 128 + number
+            return CommandResult({"samples": len(samples.names)}, status=status)
     if options.output is not None:
         noise = replace(priors, line_sigma=guide.known.line_sigma)
         result = calibrate_motor_angles(samples.measured(), robot, noise)
@@ -165,7 +168,7 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
 
 
 def _guided(
-    guide: Guide, session: Session, settings: GuideSettings, robot: Robot
+    options: Options, guide: Guide, session: Session, settings: GuideSettings, robot: Robot
 ) -> Verdict | None:
     """Collect and check, and print each sample."""
     resumed = guide.resume()
@@ -177,6 +180,8 @@ def _guided(
         ],
         "",
     )
+    if options.by_hand:
+        print("A hand's breadth does not matter at the positions below, but pull all cables taut.")
     print("\n" + shown.header())
     truth = session.true_position
     place: list[Array] = []
