@@ -25,6 +25,7 @@ from carosac_toolkit.robot.robot import Robot
 
 TAUT_SHARE = 0.5  # of the way from the lower limit to the lowest tension used on purpose
 FOREIGN_CHANCE = 1e-6  # of lengths as far off by chance, below which they are of another robot
+RANDOM_CANDIDATES = 60  # positions of which the first one that is safe is taken
 ATTEMPTS_MAX = 10  # moves in a row that end with slack cables, after which the guide gives up
 SHORTER = 0.5  # ratio of the next reach to the last after such a move
 
@@ -263,7 +264,10 @@ class Guide:
 
     def _anywhere(self) -> Array:
         """Return a random position that is safe."""
-        return np.asarray(safe_positions(self._known, self._rng(), self._reach(), edges=0.0)[0][0])
+        where, _ = safe_positions(
+            self._known, self._rng(), self._reach(), candidates=RANDOM_CANDIDATES, edges=0.0
+        )
+        return np.asarray(where[0])
 
     def _rng(self) -> np.random.Generator:
         """Return the source of candidates of this move: the same one after a crash."""
