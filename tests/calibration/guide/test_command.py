@@ -84,6 +84,16 @@ def test_kill_9_in_the_middle_loses_no_sample(tmp_path):
     assert b"4 samples are there already" in again.stdout
 
 
+@pytest.mark.slow
+def test_any_driver_moves_in_real_time_behind_the_guard(tmp_path, capsys):
+    """As a real robot would: the driver goes on while the host computes."""
+    driver = "carosac_toolkit.drivers.quasi_static:QuasiStaticDriver"
+    words = ("--driver", driver, "--enable", "--max-samples", 2, "--checks", 0)
+    assert run(tmp_path / "samples.csv", *words).status == 1
+    assert names(tmp_path / "samples.csv") == ["home", "1"]
+    assert "simulated truth" not in capsys.readouterr().out
+
+
 def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
     path = tmp_path / "samples.csv"
     cases = [
