@@ -147,7 +147,8 @@ class Frame:
         if self.free.shape[1]:
             by = "as the exit points of the robot file are turned, which fits them best"
             if self.heading is not None:
-                by = f"x through exit point {self.heading}, the rest {by}"
+                rest = f", the rest {by}" if self.free.shape[1] > 1 else ""
+                by = f"x through exit point {self.heading}{rest}"
             lines.append(
                 f"nothing that was measured tells {self._unknown()}: by convention {by}; sigmas "
                 "are those in this frame"

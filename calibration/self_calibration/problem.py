@@ -16,7 +16,6 @@ otherwise cables are stiff. The residual is :math:`L^s_i(\varphi) - \ell_i(p)`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -24,17 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.linear_samples import LinearSamples
-from calibration.prior import Prior
-from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
 from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
+from calibration.self_calibration.shared_unknowns import shared_unknowns
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_rotation_vector, left_jacobian
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
 POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
@@ -42,7 +39,6 @@ POSITION_PRIOR_FACTOR = (
     20.0  # times the longest cable: one standard deviation of a position before any data
 )
 TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
-ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
 
@@ -118,11 +114,11 @@ class MotorAngleProblem:
         self.radius = drums.radius - 0.5 * drums.buildup * turned
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
-        self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        soft = np.zeros(len(set(self.compliances.tolist())))
-        buildups = np.array(self._buildups)
-        mean = [robot.exit_points.ravel(), np.zeros(self._groups), buildups, length, soft]
-        self.prior = self._prior(np.concatenate(mean), settings)
+        places = shared_unknowns(
+            robot, drums, self.radius, length, settings, soft=angles.tension is not None
+        )
+        self.exits, self.radii, self.buildups = places.exits, places.radii, places.buildups
+        self.zeros, self.compliances, self.prior = places.zeros, places.compliances, places.prior
         spread = angles.known_sigma
         self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
@@ -356,49 +352,6 @@ class MotorAngleProblem:
         strain = self.angles.tension[row] / self.robot.axial_stiffness
         return np.asarray((length - self.robot.run_length * strain) / (1.0 + strain))
 
-    def _makes(self) -> list[tuple[float, ...]]:
-        """Return what drums of one make have in common."""
-        drums = self._drums
-        return list(zip(drums.gear, drums.advantage, drums.buildup, strict=True))
-
-    def _set_places(self, group: Sequence[int]) -> None:
-        """Give each unknown its place and its name."""
-        n = self.robot.n
-        cables = self.robot.cable_names
-        self._groups = max(group) + 1
-        self._buildups = sorted(set(self._drums.buildup.tolist()))
-        of_buildup = [self._buildups.index(b) for b in self._drums.buildup.tolist()]
-        self.exits = np.arange(3 * n).reshape(n, 3)
-        self.radii = 3 * n + np.array(group)
-        self.buildups = 3 * n + self._groups + np.array(of_buildup)
-        self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
-        kinds = sorted(set(self.robot.axial_stiffness.tolist()))
-        of_kind = [kinds.index(value) for value in self.robot.axial_stiffness.tolist()]
-        self.compliances = int(self.zeros[-1]) + 1 + np.array(of_kind)
-        if self.angles.tension is None:
-            kinds, self.compliances = [], np.zeros(0, dtype=np.int_)
-        self._names = (
-            *point_names("exit_points", cables),
-            *(f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)),
-            *(f"drum_buildup[{_joined(cables, of_buildup, g)}]"
-              for g in range(len(self._buildups))),
-            *(f"length_at_zero[{cable}]" for cable in cables),
-            *(f"compliance[{_joined(cables, of_kind, g)}]" for g in range(len(kinds))),
-        )  # fmt: skip
-
-    def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
-        """Return what the robot file and the settings say of the shared unknowns."""
-        exits = self._names[: self.exits.size]
-        sigma = np.full(len(mean), settings.length_at_zero_sigma)
-        sigma[: len(exits)] = settings.exit_sigma
-        sigma[self.radii] = settings.drum_radius_sigma
-        sigma[self.buildups] = settings.drum_buildup_share * np.maximum(mean[self.buildups], 1e-9)
-        sigma[self.compliances] = settings.stiffness_share
-        covariance = np.diag(sigma**2)
-        block = slice(0, len(exits))
-        covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
-        return Prior(names=self._names, mean=mean, covariance=covariance)
-
 
 def _end(robot: Robot, name: str) -> int | None:
     """Return the place of a cable by its name; None for home."""
@@ -408,25 +361,6 @@ def _end(robot: Robot, name: str) -> int | None:
         allowed = f"one of {list(robot.cable_names)}, for its exit point, or {HOME!r}"
         raise InvalidField("end of a distance", repr(name), allowed)
     return None
-
-
-def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:
-    """Group drums of one make: the same radius with all line wound in, or at the reference."""
-    group: list[int] = []
-    for i in range(len(makes)):
-        for j in range(i):
-            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE_RADIUS_M
-            if makes[i] == makes[j] and same:
-                group.append(group[j])
-                break
-        else:
-            group.append(max(group, default=-1) + 1)
-    return group
-
-
-def _joined(cables: Sequence[str], group: Sequence[int], g: int) -> str:
-    """Return the cables of one group."""
-    return ", ".join(name for name, mine in zip(cables, group, strict=True) if mine == g)
 
 
 def check_drums(robot: Robot) -> None:

@@ -110,7 +110,7 @@ def test_a_worse_source_of_the_scale_makes_a_worse_scale():
 
 def test_sigmas_without_known_positions_are_honest():
     squares, places = [], []
-    runs = 8
+    runs = 6
     for seed in range(200, 200 + runs):
         before, truth, place, angles = scene(seed, 40, known=())
         result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
@@ -122,7 +122,7 @@ def test_sigmas_without_known_positions_are_honest():
         there = place @ turn_to(points, before.exit_points - before.anchor_points)
         error = (result.position - there)[1:] / result.position_sigma[1:]
         places.append((error**2).mean())
-    assert len(squares) >= runs - 2
+    assert len(squares) >= runs - 1
     low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
     assert low < sum(squares) < high
     assert 0.5 < np.mean(places) < 1.7
@@ -369,7 +369,7 @@ def test_measured_tensions_take_the_stretch_out():
 
 def test_friction_in_the_tensions_is_noise_that_is_known():
     squares = []
-    for seed in range(300, 306):
+    for seed in range(300, 304):
         before, truth, angles = soft_scene(seed, friction=0.1)
         result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=2e-4))
         squares.append(frame_nees(result, truth))
@@ -399,7 +399,7 @@ def rigid_scene(seed, count=60, line=1e-4):
 
 def test_eight_cables_tell_the_rotations_of_a_platform_too():
     squares = []
-    for seed in range(4):
+    for seed in range(3):
         before, truth, place, rotation, angles = rigid_scene(seed)
         span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
         tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
