@@ -144,6 +144,9 @@ def rows_of(outcomes: Sequence[Outcome], bad: Sequence[tuple[str, Outcome]]) -> 
     each = ", ".join(
         f"{n}: {sum(one.accepted for one in those)} of {len(those)}" for n, those in kept.items()
     )
+    allowed = ", ".join(
+        f"{n}: {1e3 * np.median([one.expected for one in those]):.1f}" for n, those in kept.items()
+    ) + " mm"  # fmt: skip
     accepted = [one for one in outcomes if one.accepted]
     error = 1e3 * np.array([one.error for one in accepted])
     nees = sum(one.nees for one in accepted)
@@ -158,6 +161,8 @@ def rows_of(outcomes: Sequence[Outcome], bad: Sequence[tuple[str, Outcome]]) -> 
         ["robots; accepted, neither refused nor warned of", "reported",
          f"{len(outcomes)}; {len(accepted)}"],
         ["accepted, by number of cables", "reported", each],
+        ["RMS error that the data allow (covariance at the truth), median by number of cables",
+         "reported", allowed],
         ["mean error of the exit points, median over accepted robots", "5 mm",
          f"{np.median(error):.2f} mm"],
         ["the same, 95 % of them", "10 mm", f"{np.percentile(error, 95):.2f} mm"],

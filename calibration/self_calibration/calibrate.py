@@ -16,7 +16,7 @@ from calibration.self_calibration.rivals import Rival, better_rival, find_rivals
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
-from calibration.self_calibration.starting_points import LINE_SIGMA_START_M, starts
+from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.verdict import (
     check_determined,
     check_reference,
@@ -27,6 +27,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
 HEADING_STEPS = 5
+LINE_SIGMA_SURE_M = 5e-4  # [m] noise with which what stays free is refused before any more is done
 PREDICTED_SIGMA_MAX_M = 0.05  # [m] sigma above which predicting a known position tells nothing
 
 
@@ -58,7 +59,7 @@ def calibrate_motor_angles(
     check_rotation(problem)
     first = starts(problem)
     everything = np.ones(len(angles.samples), dtype=np.bool_)
-    line = settings.line_sigma or LINE_SIGMA_START_M
+    line = settings.line_sigma or LINE_SIGMA_SURE_M
     rough = Trust(line_sigma=line, lengths=everything, known=problem.is_known, robust=False)
     frame = _frame(problem, first[0], rough)
     check_determined(problem, first[0], rough, frame)
