@@ -35,7 +35,7 @@ from carosac_toolkit.robot.robot import Robot
 COMMAND = "python -m benchmarks.calibration_guide"
 ROBOTS, DRIVEN = 50, 10
 SETTINGS = GuideSettings(accuracy=5e-3, max_samples=120)
-LIMITS_N = (1.0, 60.0)  # [N] narrower than those of the file, which a guide would hardly meet
+LIMITS_N = (1.0, 60.0)  # [N] of driven robots: those of the file would hardly be met
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,7 @@ def main() -> None:
     """Measure and write the section."""
     counts = [int(word) for word in sys.argv[1:]]
     count, moved = [*counts, *(ROBOTS, DRIVEN)[len(counts) :]]
-    robot = limited_robot()
+    robot, limited = ct.load_robot("hangprinter"), limited_robot()
     header = (
         "positions", "reached", "samples, median", "95 %", "true mean error of the exit points, "
         "median [mm]", "95 % [mm]", "CPU time, median [s]",
@@ -211,13 +211,14 @@ def main() -> None:
         f"Robots that `hangprinter` may be a first guess of ({robot.n} cables): exit points off by "
         "8 % of the longest cable sideways and by 1.5 % in height, distances from home by 20 mm, "
         "drum radius by 1 %, build-up by 15 %, stiffness by 30 %, mass by 2 %; one distance by "
-        f"tape to 1 mm; tension limits {LIMITS_N[0]:g} N to {LIMITS_N[1]:g} N. Wanted: "
+        "tape to 1 mm. Wanted: "
         f"{1e3 * SETTINGS.accuracy:g} mm, the claimed mean distance of the exit points from the "
         f"truth. {count} robots are moved by hand, which misses by 2 % of the longest cable, with "
         "0.5 mm of noise of the line at each rest; random positions are uniform over what is safe "
         "to reach.\n\n" + table(header, rows_by_hand(robot, count)) + f"\n\n{moved} robots are "
-        "moved by their driver behind the guard, tensions in every cycle of 20 ms; then ten moves "
-        "are predicted before they are made.\n\n" + table(driven_header, rows_driven(robot, moved))
+        f"moved by their driver behind the guard, with tension limits {LIMITS_N[0]:g} N to "
+        f"{LIMITS_N[1]:g} N; tensions are those of every cycle of 20 ms. Then ten moves are "
+        "predicted before they are made.\n\n" + table(driven_header, rows_driven(limited, moved))
     )
     write_section("calibration-guide", "Guided self-calibration", COMMAND, body)
 

@@ -7,7 +7,8 @@ moves are predicted before they are made: their errors against the claim are the
 Every sample is on the disk before the next move. Started again with the same file, the guide goes
 on where it was stopped. Without --enable nothing moves, but for the simulated robot.
 
-Exit status 1 means that the accuracy was not reached, or that the verdict is negative.
+Exit status 1 means that the accuracy was not reached, or that the verdict is negative; 128 and the
+number of a signal, such as 130, that it was stopped.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from calibration.guide import progress as shown
@@ -36,6 +38,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+
+POINT_SHARE = 0.02  # of the longest cable: anchor points closer together count as one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +68,8 @@ class Options(CommonOptions):
     """Standard deviation of the lengths at home in the robot file [m]."""
     radius_prior: float = SelfCalibrationSettings.drum_radius_sigma
     """Standard deviation of the drums' radius in the robot file [m]."""
+    keeps_rotation: tyro.conf.FlagCreatePairsOff[bool] = False
+    """The platform keeps its rotation from home by its build, though its cables end apart."""
     by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
     """Say where to put the platform and wait for Enter, instead of moving it."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -95,7 +101,7 @@ def run(options: Options) -> CommandResult:
     )  # fmt: skip
     robot = load_robot(options.robot)
     check_drums(robot)
-    _check_cables(robot)
+    _check_platform(options, robot)
     _check_options(options)
     check_output("--output", options.output, options.robot)
     samples = SampleFile(Path(options.samples), robot)
@@ -103,10 +109,12 @@ def run(options: Options) -> CommandResult:
         priors = _priors(options, session)
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
-            verdict = _guided(guide, session, settings, robot)
+            verdict = _guided(options, guide, session, settings, robot)
         except Stopped as error:
             print(f"\nstopped: {error}; the same command goes on from {options.samples}")
-            return CommandResult({"samples": len(samples.names)}, status=1)
+            number = None if session.ending is None else session.ending.signal
+            status = 1 if number is None else 128 + number
+            return CommandResult({"samples": len(samples.names)}, status=status)
     if options.output is not None:
         noise = replace(priors, line_sigma=guide.known.line_sigma)
         result = calibrate_motor_angles(samples.measured(), robot, noise)
@@ -141,6 +149,7 @@ def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,
+        keeps_rotation=options.keeps_rotation,
         friction_share=0.0,  # load cells at the platform
         distances=tuple(distances),
     )
@@ -159,7 +168,7 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
 
 
 def _guided(
-    guide: Guide, session: Session, settings: GuideSettings, robot: Robot
+    options: Options, guide: Guide, session: Session, settings: GuideSettings, robot: Robot
 ) -> Verdict | None:
     """Collect and check, and print each sample."""
     resumed = guide.resume()
@@ -171,6 +180,8 @@ def _guided(
         ],
         "",
     )
+    if options.by_hand:
+        print("A hand's breadth does not matter at the positions below, but pull all cables taut.")
     print("\n" + shown.header())
     truth = session.true_position
     place: list[Array] = []
@@ -214,11 +225,20 @@ def _sentences(guide: Guide, session: Session, verdict: Verdict | None) -> list[
     return lines + (["no moves were checked"] if verdict is None else verdict.sentences())
 
 
-def _check_cables(robot: Robot) -> None:
-    """Refuse robots whose lengths alone are never redundant."""
+def _check_platform(options: Options, robot: Robot) -> None:
+    """Refuse robots whose lengths tell nothing, or whose platform is no point."""
     if robot.n <= 3:
         allowed = "at least 4 cables: the lengths of 3 tell a position, and nothing of the robot"
         raise InvalidField("robot", f"{robot.name!r} with {robot.n} cables", allowed)
+    apart = float(np.ptp(robot.anchor_points, axis=0).max())
+    longest = float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).max())
+    if apart > POINT_SHARE * longest and not options.keeps_rotation:
+        got = f"anchor points {apart:.3g} m apart on the platform of {robot.name!r}"
+        allowed = (
+            f"a point-like platform, under {POINT_SHARE * longest:.3g} m, or --keeps-rotation "
+            "for one that is built to; others need measured poses: carosac calibrate lengths"
+        )
+        raise InvalidField("robot", got, allowed)
 
 
 def _check_options(options: Options) -> None:

@@ -64,6 +64,13 @@ class Surprise:
         return float(np.sqrt(np.trace(self.covariance) / len(self.error)))
 
     @property
+    def chance(self) -> float:
+        """Probability of an error as large, or larger, if the prediction is right."""
+        from scipy.stats import chi2
+
+        return float(chi2.sf(self.square, len(self.error)))
+
+    @property
     def square(self) -> float:
         """Squared error in standard deviations, of n - 3 degrees of freedom."""
         return float(self.error @ np.linalg.solve(self.covariance, self.error))

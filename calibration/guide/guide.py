@@ -24,6 +24,8 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.robot.robot import Robot
 
 TAUT_SHARE = 0.5  # of the way from the lower limit to the lowest tension used on purpose
+FOREIGN_CHANCE = 1e-6  # of lengths as far off by chance, below which they are of another robot
+RANDOM_CANDIDATES = 60  # positions of which the first one that is safe is taken
 ATTEMPTS_MAX = 10  # moves in a row that end with slack cables, after which the guide gives up
 SHORTER = 0.5  # ratio of the next reach to the last after such a move
 
@@ -97,6 +99,9 @@ class Guide:
 
         Returns:
             The fit, or None where there are no samples yet.
+
+        Raises:
+            CarosacError: The lengths no longer mean what they meant then.
         """
         rest = self._mover.rest()
         fresh = self.samples.reference is None
@@ -117,6 +122,13 @@ class Guide:
                     assert self.fit is not None
                     place = np.vstack([self.fit.position, ahead.position])
         (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
+        if self._taut(rest) and now.chance < FOREIGN_CHANCE:
+            raise CarosacError(
+                f"{self.samples.path}: the lengths now do not belong to these samples: the spare "
+                f"ones are off by {1e3 * now.rms:.3g} mm of line, {1e3 * now.sigma:.3g} mm were "
+                "predicted. Has the robot been homed anew, or has a cable slipped? Then begin a "
+                "new file"
+            )
         self._here = now.position
         return self.fit
 
@@ -252,7 +264,10 @@ class Guide:
 
     def _anywhere(self) -> Array:
         """Return a random position that is safe."""
-        return np.asarray(safe_positions(self._known, self._rng(), self._reach(), edges=0.0)[0][0])
+        where, _ = safe_positions(
+            self._known, self._rng(), self._reach(), candidates=RANDOM_CANDIDATES, edges=0.0
+        )
+        return np.asarray(where[0])
 
     def _rng(self) -> np.random.Generator:
         """Return the source of candidates of this move: the same one after a crash."""

@@ -181,8 +181,9 @@ class DriverMover:
         command = Command(time=self._measured.time, unstrained_length=self._command[None])
         driver.command(command)
         if not driver.wait(self._settings.period):
-            fault = getattr(driver, "fault", None)
-            raise Stopped("the driver has stopped" if fault is None else f"fault: {fault}")
+            fault, ending = (getattr(driver, name, None) for name in ("fault", "ending"))
+            why = ending or "the driver has stopped"
+            raise Stopped(why if fault is None else f"fault: {fault}")
         self._measured = driver.measure()
 
     def _path(self, known: Knowledge, start: Array, end: Array) -> _Path:

@@ -59,8 +59,8 @@ def request(position: Array, home: Array, last: Array) -> str:
     )
     return (
         f"put the platform to ({', '.join(f'{x:+.2f}' for x in way)}) m from home"
-        + (f", which is {words} of where it is" if words else "")
-        + "; a hand's breadth does not matter, but pull all cables taut. Enter when it rests: "
+        + (f": {words} from here" if words else "")
+        + ". Enter when it rests "
     )
 
 

@@ -25,7 +25,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli import run_options
 from carosac_toolkit.cli.run_builder import GUARD_KEY, make_guard
-from carosac_toolkit.live.exit_reasons import ending_of
+from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import chosen_settings
@@ -44,11 +44,13 @@ class Session:
         mover: What moves it.
         true_position: Returns the true position [m], shape (3,); None where nobody knows it.
         true_robot: The simulated one, or None.
+        ending: End by a signal, where the driver moves it.
     """
 
     mover: Mover
     true_position: Callable[[], Array] | None = None
     true_robot: Robot | None = None
+    ending: Ending | None = None
 
 
 @contextlib.contextmanager
@@ -84,12 +86,13 @@ def simulated(
         return
     driver = simulated_driver(robot, true, settings, seed=seed)
     guard = guarded(driver, robot, settings)
-    with _enabled(guard, robot):
+    with _enabled(guard, robot) as ending:
         mover = DriverMover(guard, robot, settings, real_time=False)
         yield Session(
             mover=mover,
             true_position=lambda: np.asarray(driver.truth().position[0]),
             true_robot=true,
+            ending=ending,
         )
 
 
@@ -135,18 +138,19 @@ def real(
                 ask = _asking(robot)
                 yield Session(mover=HandMover(ask, reader(guard, settings)))
             return
-        with _enabled(guard, robot):
-            yield Session(mover=DriverMover(guard, robot, settings, real_time=guard.real_time))
+        with _enabled(guard, robot) as ending:
+            mover = DriverMover(guard, robot, settings, real_time=guard.real_time)
+            yield Session(mover=mover, ending=ending)
 
 
 @contextlib.contextmanager
-def _enabled(guard: GuardedDriver, robot: Robot) -> Iterator[None]:
+def _enabled(guard: GuardedDriver, robot: Robot) -> Iterator[Ending]:
     """Let commands through; come to rest at the end, and at a signal."""
     with contextlib.closing(guard):
         enable_where_it_is(guard, robot)
-        with ending_of(guard, lambda: None):
+        with ending_of(guard, lambda: None) as ending:
             try:
-                yield
+                yield ending
             finally:
                 guard.stop("end of the guide")
 

@@ -133,6 +133,7 @@ def safe_positions(
     rng: np.random.Generator,
     reach: Reach | None = None,
     *,
+    candidates: int = CANDIDATE_POSITIONS,
     edges: float = EDGE_CANDIDATES_SHARE,
 ) -> tuple[Array, Array]:
     """Draw positions that are safe to reach on a straight line.
@@ -141,7 +142,8 @@ def safe_positions(
         known: Present knowledge.
         rng: Source of candidates and of the robots that are likely.
         reach: Part of the workspace to draw from; None: all of it, starting at home.
-        edges: Share of the candidates that lie on the edges of the workspace box [1].
+        candidates: How many are drawn; those that are safe remain.
+        edges: Share of them that lie on the edges of the workspace box [1].
 
     Returns:
         Positions [m], shape (C, 3), and their margins [N], shape (C,).
@@ -151,7 +153,7 @@ def safe_positions(
     """
     robot = known.problem.robot
     area = reach or Reach(start=robot.home_position, visited=robot.home_position[None])
-    where = _candidates(known.problem, area, rng, edges)
+    where = _candidates(known.problem, area, rng, candidates, edges)
     ways = area.start + np.array(PATH_SHARES)[:, None, None] * (where - area.start)
     margin = safe_margin(known, ways.reshape(-1, 3), rng).reshape(len(PATH_SHARES), -1)
     worst = margin.min(axis=0)
@@ -177,15 +179,15 @@ def safe_positions(
 
 
 def _candidates(
-    problem: MotorAngleProblem, area: Reach, rng: np.random.Generator, edges: float
+    problem: MotorAngleProblem, area: Reach, rng: np.random.Generator, count: int, edges: float
 ) -> Array:
     """Draw positions from the workspace box, some of them on its edges [m], shape (C, 3).
 
     Those out of reach are drawn towards a visited place.
     """
     robot = problem.robot
-    share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSITIONS, 3))
-    for row in share[: int(edges * CANDIDATE_POSITIONS)]:
+    share = rng.uniform(-1.0, 1.0, (count, 3))
+    for row in share[: int(edges * count)]:
         ends = rng.permutation(3)[:2]
         row[ends] = np.sign(row[ends])
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)

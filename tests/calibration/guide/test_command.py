@@ -16,7 +16,7 @@ from calibration.guide.samples import SampleFile
 from calibration.self_calibration.motor_angle_files import load_motor_angles
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.cli.arguments import parse_options
-from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.file import load_robot, robot_text
 
 PROGRAM = """
 import sys
@@ -84,6 +84,16 @@ def test_kill_9_in_the_middle_loses_no_sample(tmp_path):
     assert b"4 samples are there already" in again.stdout
 
 
+@pytest.mark.slow
+def test_any_driver_moves_in_real_time_behind_the_guard(tmp_path, capsys):
+    """As a real robot would: the driver goes on while the host computes."""
+    driver = "carosac_toolkit.drivers.quasi_static:QuasiStaticDriver"
+    words = ("--driver", driver, "--enable", "--max-samples", 2, "--checks", 0)
+    assert run(tmp_path / "samples.csv", *words).status == 1
+    assert names(tmp_path / "samples.csv") == ["home", "1"]
+    assert "simulated truth" not in capsys.readouterr().out
+
+
 def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
     path = tmp_path / "samples.csv"
     cases = [
@@ -100,6 +110,11 @@ def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
     for words, message in cases:
         with pytest.raises(InvalidField, match=message):
             run(path, *words)
+    wide = tmp_path / "wide.yaml"
+    text = robot_text("hangprinter").replace("a: [0, -0.001, 0]", "a: [0, -0.3, 0]")
+    wide.write_text(text)
+    with pytest.raises(InvalidField, match=r"anchor points 0.3.* m apart .* --keeps-rotation"):
+        run(path, "--robot", wide)
     monkeypatch.setattr("builtins.input", lambda text: (_ for _ in ()).throw(EOFError))
     with pytest.raises(InvalidField, match="--by-hand: got the end of the input"):
         run(path, "--by-hand")

@@ -23,7 +23,7 @@ def exit_error(fit, true, home):
     return np.linalg.norm(turn.apply(arm) - true_arm, axis=1)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_it_stops_at_the_wanted_accuracy_and_has_it(tmp_path, seed):
     guide, hand = by_hand(tmp_path / "samples.csv", seed, settings=SETTINGS)
     guide.resume()
@@ -38,6 +38,7 @@ def test_it_stops_at_the_wanted_accuracy_and_has_it(tmp_path, seed):
     assert exit_error(samples[0].fit, true_robot(seed), home).max() > 0.1
 
 
+@pytest.mark.slow
 def test_informative_positions_need_fewer_samples_than_random_ones(tmp_path):
     counts = {True: [], False: []}
     for seed in range(4):
@@ -71,6 +72,24 @@ def test_a_second_run_goes_on_with_the_samples_of_the_first(tmp_path):
     fourth.resume()
     assert list(fourth.check()) == []
     assert len(fourth.checked) == SETTINGS.checks
+
+
+def test_lengths_that_lost_their_meaning_are_no_continuation(tmp_path):
+    """As after homing anew at another place, or a slipped cable."""
+    first, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS)
+    first.resume()
+    list(first.collect())
+
+    def shifted(hand):
+        def read():
+            rest = hand.read()
+            return Rest(length=rest.length + np.array([0.05, 0.0, 0.0, 0.0]), tension=rest.tension)
+
+        return read
+
+    second, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS, read=shifted)
+    with pytest.raises(CarosacError, match="the lengths now do not belong to these samples"):
+        second.resume()
 
 
 def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_path):
@@ -121,6 +140,7 @@ def test_slack_cables_are_no_sample(tmp_path):
     assert guide.samples.names == []
 
 
+@pytest.mark.slow
 def test_moved_by_its_driver_it_finds_the_same_robot(tmp_path):
     guide, driver = driven(tmp_path / "samples.csv", 0, settings=SETTINGS)
     guide.resume()
