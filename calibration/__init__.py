@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from calibration.result import CalibrationResult
     from calibration.robot_update import updated, write_robot
     from calibration.self_calibration.calibrate import calibrate_motor_angles
+    from calibration.self_calibration.knowledge import Knowledge
     from calibration.self_calibration.motor_angle_files import (
         holds_motor_angles,
         load_motor_angles,
@@ -42,7 +43,12 @@ if TYPE_CHECKING:
     )
     from calibration.self_calibration.motor_angles import MotorAngles
     from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
-    from calibration.self_calibration.settings import SelfCalibrationSettings
+    from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+    from calibration.self_calibration.suggested_positions import (
+        Reach,
+        SuggestedPositions,
+        suggest_positions,
+    )
     from calibration.self_calibration.synthetic import (
         MeasurementNoise,
         draw_positions,
@@ -72,10 +78,12 @@ __carosac__ = True  # marks this package as ours: the name is not unique
 
 _MODULES = {
     "CalibrationResult": "result",
+    "Distance": "self_calibration.settings",
     "DrawnSurvey": "tachymeter.synthetic",
     "Identification": "identification.result",
     "IdentificationSettings": "identification.settings",
     "Instrument": "tachymeter.observations",
+    "Knowledge": "self_calibration.knowledge",
     "LeftOut": "self_calibration.result",
     "LengthCalibration": "lengths.result",
     "LengthScene": "lengths.synthetic",
@@ -88,6 +96,7 @@ _MODULES = {
     "OscillationSettings": "identification.synthetic_oscillations",
     "ParameterEstimate": "estimate",
     "Prior": "prior",
+    "Reach": "self_calibration.suggested_positions",
     "ReadingBlunder": "tachymeter.result",
     "ReferencePoint": "tachymeter.observations",
     "RestCalibration": "rests.result",
@@ -101,6 +110,7 @@ _MODULES = {
     "Shot": "tachymeter.observations",
     "Sighting": "tachymeter.observations",
     "SuggestedPoses": "lengths.planning",
+    "SuggestedPositions": "self_calibration.suggested_positions",
     "Survey": "tachymeter.observations",
     "SurveyPlan": "tachymeter.synthetic",
     "SyntheticRun": "identification.synthetic",
@@ -124,6 +134,7 @@ _MODULES = {
     "simulate_oscillations": "identification.synthetic_oscillations",
     "simulate_run": "identification.synthetic",
     "suggest_poses": "lengths.planning",
+    "suggest_positions": "self_calibration.suggested_positions",
     "updated": "robot_update",
     "write_gsi": "tachymeter.synthetic",
     "write_motor_angles": "self_calibration.motor_angle_files",
@@ -133,10 +144,12 @@ _MODULES = {
 }
 __all__ = [
     "CalibrationResult",
+    "Distance",
     "DrawnSurvey",
     "Identification",
     "IdentificationSettings",
     "Instrument",
+    "Knowledge",
     "LeftOut",
     "LengthCalibration",
     "LengthScene",
@@ -149,6 +162,7 @@ __all__ = [
     "OscillationSettings",
     "ParameterEstimate",
     "Prior",
+    "Reach",
     "ReadingBlunder",
     "ReferencePoint",
     "RestCalibration",
@@ -162,6 +176,7 @@ __all__ = [
     "Shot",
     "Sighting",
     "SuggestedPoses",
+    "SuggestedPositions",
     "Survey",
     "SurveyPlan",
     "SyntheticRun",
@@ -185,6 +200,7 @@ __all__ = [
     "simulate_oscillations",
     "simulate_run",
     "suggest_poses",
+    "suggest_positions",
     "updated",
     "write_gsi",
     "write_motor_angles",

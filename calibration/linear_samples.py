@@ -23,9 +23,9 @@ class LinearSamples:
     by_own: Array
 
     def scaled(self, scale: Array) -> LinearSamples:
-        """Return the same with each residual multiplied by a number, shape (m,)."""
+        """Return the same with each residual multiplied by a number, shape (m,) or (S, m)."""
         return LinearSamples(
             residual=self.residual * scale,
-            by_shared=self.by_shared * scale[:, None],
-            by_own=self.by_own * scale[:, None],
+            by_shared=self.by_shared * scale[..., None],
+            by_own=self.by_own * scale[..., None],
         )

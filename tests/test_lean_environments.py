@@ -249,7 +249,6 @@ calls = {
     "read_gsi": lambda: read_gsi("shots.gsi"),
     "calibrate_tachymeter": lambda: calibration.calibrate_tachymeter(robot, None),
     "calibrate_lengths": lambda: calibration.calibrate_lengths(robot, None),
-    "calibrate_motor_angles": lambda: calibration.calibrate_motor_angles(robot, None),
     "TensionDistributor": lambda: TensionDistributor(8, 1.0, 2.0),
     "local_client": lambda: local_client(2).__enter__(),
 }
@@ -265,7 +264,7 @@ for name, call in calls.items():
         "smooth": ["calibration", "control"], "PolicyController": ["control"],
         "train": ["learn"], "CableGymEnvironment": ["learn"], "write_gsi": ["calibration"],
         "read_gsi": ["calibration"], "calibrate_tachymeter": ["calibration"],
-        "calibrate_lengths": ["calibration"], "calibrate_motor_angles": ["calibration"],
+        "calibrate_lengths": ["calibration"],
         "TensionDistributor": ["control"], "local_client": ["parallel"],
     }  # fmt: skip
 

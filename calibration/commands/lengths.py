@@ -3,7 +3,9 @@
 The points are exit and anchor points, the poses measured ones, such as by motion capture. Blunders
 are left out and named. Set-ups that cannot tell the exit points are refused with the reason, as are
 swapped cables and wrong units. A file of motor angles (CSV, columns motor_A_deg and the like) needs
-no poses: they are unknowns there, and so are the drums. Nor does a recording of rests, with load
+no poses: they are unknowns there, and so are the drums. A few known positions give the frame; with
+none it is one of convention, and the scale comes from --distance, the lengths at home and the
+drums. Nor does a recording of rests, with load
 cells, an AHRS or swivel angles: it gives the zeros of lengths that may be relative, and all poses.
 
 Exit status 1 means that the result should not be used before a warning has been looked into.
@@ -44,6 +46,7 @@ from calibration.report import (
 from calibration.rests.settings import RestSettings
 from calibration.robot_update import check_output
 from calibration.self_calibration.motor_angle_files import holds_motor_angles
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
@@ -60,9 +63,16 @@ MOTOR_ANGLE_OPTIONS = (
     "report",
     "json",
     "seed",
+    "distance",
+    "x_through",
+    "accuracy",
+    "keeps_rotation",
+    "home_length_prior",
+    "radius_prior",
 )  # options that count
+MOTOR_ANGLE_ONLY_OPTIONS = MOTOR_ANGLE_OPTIONS[6:]
 REST_OPTIONS = (
-    *MOTOR_ANGLE_OPTIONS, "start", "stop", "length_noise", "tension_noise", "attitude_noise",
+    *MOTOR_ANGLE_OPTIONS[:6], "start", "stop", "length_noise", "tension_noise", "attitude_noise",
     "swivel_noise", "offset_prior",
 )  # fmt: skip
 REST_ONLY_OPTIONS = ("tension_noise", "attitude_noise", "swivel_noise")
@@ -89,6 +99,24 @@ class Options(CommonOptions):
     """One past the last sample to use; by default all are used."""
     suggest_poses: int = 0
     """Number of further poses to suggest, those that would teach most about the exit points."""
+    distance: Annotated[
+        tuple[tuple[str, str, float, float], ...], tyro.conf.arg(metavar="A B LENGTH SIGMA")
+    ] = ()
+    """Motor angles: measured distances between exit points, by cable, or from one to home, with
+    their standard deviations [m], such as a b 2.481 0.001 c home 1.9 0.002."""
+    x_through: str | None = None
+    """Motor angles without known positions: cable whose exit point is above or below the x axis; by
+    default the exit points of the robot file tell the heading."""
+    accuracy: float | None = None
+    """Motor angles: wanted standard deviation of the exit points [m]; a warning says if it is not
+    reached."""
+    keeps_rotation: bool = False
+    """Motor angles without known positions: the platform is built to keep its rotation, though its
+    cables end apart from each other."""
+    home_length_prior: float = SelfCalibrationSettings.length_at_zero_sigma
+    """Motor angles: standard deviation of the lengths at home in the robot file [m]."""
+    radius_prior: float = SelfCalibrationSettings.drum_radius_sigma
+    """Motor angles: standard deviation of the drums' radius in the robot file [m]."""
     length_noise: float | None = None
     """Standard deviation of a reading [m]; by default estimated from what the fit leaves, and
     0.5 mm for rests without poses."""
@@ -135,7 +163,8 @@ def run(options: Options) -> CommandResult:
 
         _check_options(options, REST_OPTIONS, "not with a recording without poses")
         return run_rests(options, _rest_settings(options), recording, path)
-    others = [name for name in vars(options) if name not in REST_ONLY_OPTIONS]
+    only_elsewhere = (*REST_ONLY_OPTIONS, *MOTOR_ANGLE_ONLY_OPTIONS)
+    others = [name for name in vars(options) if name not in only_elsewhere]
     _check_options(options, others, "not with a recording with poses")
     settings = _settings(options)
     robot_source = find_robot(recording, path, options.robot)

@@ -20,6 +20,7 @@ from calibration.self_calibration.solver import (
     Trust,
     equations,
     fit,
+    inverse,
     whiten,
 )
 from carosac_toolkit.base.arrays import Array
@@ -27,6 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 CHECKED_VARIANCE_MIN = 0.05  # share of its own noise that a combination must show for a test of it
 NOISE_ROUNDS_MAX = 20
+ROUND_STEPS_MAX = 10  # steps of a robust fit in each of them
 POSITION_STEPS_MAX = 20  # Gauss-Newton steps
 POSITION_STEP_MIN_M = 1e-7  # [m]
 NOISE_CHANGE_MIN = 0.01  # relative change of the noise
@@ -91,7 +93,7 @@ def settle(
     trust = Trust(
         line_sigma=settings.line_sigma or 5e-3,
         lengths=np.ones(len(angles.samples), dtype=np.bool_),
-        known=angles.is_known,
+        known=problem.is_known,
         robust=True,
     )
     soft, trust = _soft(problem, start, trust, settings)
@@ -136,7 +138,7 @@ def _placed(
 def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> SampleTests:
     """Test every sample, used or not."""
     system = equations(problem, solution.shared, solution.position, trust)
-    shared = np.linalg.inv(system.information)
+    shared = inverse(system.information)
     where, white, own, gain = _by_lengths(problem, solution, trust)
     sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
     slope = white.by_own
@@ -145,13 +147,13 @@ def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) 
     covariance = rest + sign * (by_shared @ shared @ by_shared.swapaxes(1, 2))
     closure = np.einsum("kij,kj->ki", rest, white.residual)
     square, free = _normalised(closure, covariance)
-    known = problem.angles.is_known
-    miss = where - problem.angles.known_position
+    known = problem.is_known
+    miss = where - problem.known_position
     moved = gain @ white.by_shared
-    spread = own + np.eye(3) * problem.known_sigma[:, None, :] ** 2
+    spread = own + np.eye(problem.own) * problem.known_sigma[:, None, :] ** 2
     both = 1.0 - 2.0 * (system.lengths * system.known)[:, None, None]
     place = spread + both * (moved @ shared @ moved.swapaxes(1, 2))
-    scale = 1.0 / np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    scale = problem.known_axes / np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
     away, away_free = _normalised(miss * scale, place * scale[:, :, None] * scale[:, None, :])
     return SampleTests(
         closure=square,
@@ -204,7 +206,7 @@ def _soft(
         line = max(trust.line_sigma * change, LINE_SIGMA_MIN_M)
         done = abs(change - 1.0) < NOISE_CHANGE_MIN or line == LINE_SIGMA_MIN_M
         trust = replace(trust, line_sigma=line)
-        solution = fit(problem, solution.shared, solution.position, trust)
+        solution = fit(problem, solution.shared, solution.position, trust, steps=ROUND_STEPS_MAX)
         if done:
             break
     return solution, trust
@@ -217,7 +219,7 @@ def _believed(
     lengths = chance(tests.closure, tests.closure_free) > settings.blunder
     places = chance(tests.place, tests.place_free) > settings.blunder
     # What a known position is compared with are the lengths: where they are wrong it stays.
-    return lengths, problem.angles.is_known & (places | ~lengths)
+    return lengths, problem.is_known & (places | ~lengths)
 
 
 def chance(square: Array, free: Array) -> Array:

@@ -24,6 +24,7 @@ from calibration.self_calibration.report import (
     left_out_rows,
     report_content,
 )
+from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult
@@ -51,6 +52,30 @@ class MotorAngleOptions(Protocol):
     def seed(self) -> int:
         """Not used: nothing is random."""
 
+    @property
+    def distance(self) -> tuple[tuple[str, str, float, float], ...]:
+        """Measured distances: two ends, length and standard deviation [m]."""
+
+    @property
+    def x_through(self) -> str | None:
+        """Cable whose exit point tells the x axis."""
+
+    @property
+    def accuracy(self) -> float | None:
+        """Wanted standard deviation of the exit points [m]."""
+
+    @property
+    def keeps_rotation(self) -> bool:
+        """True if the platform keeps its rotation though its cables end apart."""
+
+    @property
+    def home_length_prior(self) -> float:
+        """Standard deviation of the lengths at home [m]."""
+
+    @property
+    def radius_prior(self) -> float:
+        """Standard deviation of the drums' radius [m]."""
+
 
 def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
     """Calibrate a robot from motor angles; print, and write what was asked for.
@@ -69,7 +94,7 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(name)
     check_drums(robot)
-    result = calibrate_motor_angles(angles, robot)
+    result = calibrate_motor_angles(angles, robot, _settings(options))
     known = int(angles.is_known.sum())
     print(
         f"{path}: {len(angles.samples)} samples of {len(angles.cables)} motors, {known} known "
@@ -106,6 +131,21 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
         )  # fmt: skip
         print(f"\nreport: {files[-1]}, pictures beside it")
     return CommandResult(result.data(), status=1 if result.warnings else 0)
+
+
+def _settings(options: MotorAngleOptions) -> SelfCalibrationSettings:
+    """Return the settings of the options."""
+    return SelfCalibrationSettings(
+        length_at_zero_sigma=options.home_length_prior,
+        drum_radius_sigma=options.radius_prior,
+        distances=tuple(
+            Distance(first=first, second=second, length=length, sigma=sigma)
+            for first, second, length, sigma in options.distance
+        ),
+        x_through=options.x_through,
+        keeps_rotation=options.keeps_rotation,
+        accuracy=options.accuracy,
+    )
 
 
 def _robot_of(angles: MotorAngles) -> str:

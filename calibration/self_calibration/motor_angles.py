@@ -1,4 +1,4 @@
-"""Motor angles of a robot whose platform was put to many places, few of which are known."""
+"""Motor angles of a robot whose platform was put to many places, few or none of them known."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 
+FLAT_EXTENT_SHARE = 1e-3  # of their extent: known positions that close to a line lie on it
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorAngles:
@@ -22,9 +24,12 @@ class MotorAngles:
         motor_angle: Since one common reference, at which all are 0 [rad], positive paying cable
             out, shape (N, n).
         known_position: Platform origin in W where it is known, else 0 [m], shape (N, 3).
-        is_known: True if it is known, shape (N,).
+        is_known: True if it is known, or some of its coordinates, shape (N,).
         known_sigma: One standard deviation of known positions per axis [m], shape (N, 3); None:
             up to the settings.
+        known_axes: True for each coordinate that is known, shape (N, 3); None: all three wherever
+            `is_known`.
+        tension: With which the motors hold the cables [N], shape (N, n); None: unknown.
     """
 
     samples: tuple[str, ...]
@@ -33,6 +38,8 @@ class MotorAngles:
     known_position: Array
     is_known: NDArray[np.bool_]
     known_sigma: Array | None = None
+    known_axes: NDArray[np.bool_] | None = None
+    tension: Array | None = None
 
     def __post_init__(self) -> None:
         """Freeze the arrays; refuse names that come twice and sigmas that are none."""
@@ -44,16 +51,48 @@ class MotorAngles:
             object.__setattr__(self, field, names)
         count = len(self.samples)
         set_frozen(self, {"motor_angle": (count, len(self.cables)), "known_position": (count, 3)})
-        known = np.array(self.is_known, dtype=np.bool_)
-        if known.shape != (count,):
-            raise InvalidField("is_known", f"shape {known.shape}", f"shape ({count},)")
-        known.setflags(write=False)
-        object.__setattr__(self, "is_known", known)
+        self._freeze_flags("is_known", (count,))
+        if self.known_axes is not None:
+            self._freeze_flags("known_axes", (count, 3))
+            wrong = np.flatnonzero(self.known_axes.any(axis=1) != self.is_known)
+            if len(wrong):
+                allowed = "known exactly where one of the coordinates in known_axes is"
+                raise InvalidField("is_known", f"sample {self.samples[wrong[0]]!r}", allowed)
+        if self.tension is not None:
+            set_frozen(self, {"tension": (count, len(self.cables))})
+            if not (self.tension >= 0.0).all():
+                raise InvalidField("tension", f"{self.tension.min():g} N", ">= 0 N")
+        known = self.coordinates_known
         if self.known_sigma is not None:
             set_frozen(self, {"known_sigma": (count, 3)})
             if not (self.known_sigma[known] > 0.0).all():
                 bad = float(self.known_sigma[known].min())
                 raise InvalidField("known_sigma", f"{bad:g} m", "> 0 wherever a position is known")
+
+    def _freeze_flags(self, field: str, shape: tuple[int, ...]) -> None:
+        """Replace a field of flags by a read-only copy of the right shape."""
+        flags = np.array(getattr(self, field), dtype=np.bool_)
+        if flags.shape != shape:
+            raise InvalidField(field, f"shape {flags.shape}", f"shape {shape}")
+        flags.setflags(write=False)
+        object.__setattr__(self, field, flags)
+
+    @property
+    def coordinates_known(self) -> NDArray[np.bool_]:
+        """True for each coordinate that is known, shape (N, 3)."""
+        if self.known_axes is None:
+            return np.repeat(self.is_known[:, None], 3, axis=1)
+        return self.known_axes
+
+    @property
+    def spans_plane(self) -> bool:
+        """Whether at least three positions are known that are not on one line."""
+        complete = self.coordinates_known.all(axis=1)
+        known = self.known_position[complete]
+        if len(known) < 3:
+            return False
+        extent = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
+        return bool(extent[1] >= FLAT_EXTENT_SHARE * extent[0])
 
     def index(self, sample: str) -> int:
         """Return the place of a sample.
@@ -69,8 +108,9 @@ class MotorAngles:
         """Return the same angles, with the positions of some samples unknown."""
         rows = [self.index(sample) for sample in samples]
         known, position = self.is_known.copy(), self.known_position.copy()
-        known[rows], position[rows] = False, 0.0
-        return replace(self, is_known=known, known_position=position)
+        axes = self.coordinates_known.copy()
+        known[rows], position[rows], axes[rows] = False, 0.0, False
+        return replace(self, is_known=known, known_position=position, known_axes=axes)
 
     def in_order_of(self, cable_names: Sequence[str]) -> MotorAngles:
         """Return the same with one column per cable of a robot, in the robot's order.
@@ -88,4 +128,10 @@ class MotorAngles:
         else:
             allowed = f"the robot's {list(cable_names)}, or 01 to {len(cable_names):02d}"
             raise InvalidField("motors", f"{names}", allowed)
-        return replace(self, cables=tuple(cable_names), motor_angle=self.motor_angle[:, columns])
+        tension = None if self.tension is None else self.tension[:, columns]
+        return replace(
+            self,
+            cables=tuple(cable_names),
+            motor_angle=self.motor_angle[:, columns],
+            tension=tension,
+        )

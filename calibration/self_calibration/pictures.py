@@ -57,7 +57,7 @@ def _draw_plane(axes: Any, result: SelfCalibration, rows: list[int]) -> None:
         (after, {"marker": "^", "color": COLOR_AFTER, "ms": 5}, "exit points after"),
         (result.position[used], {"marker": ".", "color": MEASURED_COLOR, "ms": 3}, "positions"),
         (
-            result.known_position[known],
+            np.where(result.known_axes, result.known_position, result.position)[known],
             {"marker": "s", "mfc": "none", "color": COLOR_KNOWN, "ms": 5},
             "known positions",
         ),

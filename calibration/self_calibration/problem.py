@@ -6,42 +6,67 @@ The drum of cable i pays out, since the reference at which its motor angle is 0,
 
 .. math:: L_i(\varphi) = L_{0,i} + (r_i \varphi - b_i \varphi^2 / 4) / \alpha_i,
 
-and a straight stiff cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped
-arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
+and a straight cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped arc
+where there is a pulley). Where the tension f is measured, line and run length R stretch by it,
+
+.. math:: L^s_i = L_i + (L_i + R_i) f_i / EA_i;
+
+otherwise cables are stiff. The residual is :math:`L^s_i(\varphi) - \ell_i(p)`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.linear_samples import LinearSamples
-from calibration.prior import Prior
-from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
+from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
+from calibration.self_calibration.shared_unknowns import shared_unknowns
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector, left_jacobian
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
-LENGTH_AT_ZERO_SIGMA_M = 0.02  # as measured by hand
-DRUM_RADIUS_SIGMA_M = 2e-3  # alike drums are wrong by the same
-DRUM_BUILDUP_SIGMA_SHARE = 0.15  # of the build-up
-ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
+POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end at one point
+POSITION_PRIOR_FACTOR = (
+    20.0  # times the longest cable: one standard deviation of a position before any data
+)
+TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
 Rows = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Before:
+    """What priors and measured distances say of the shared unknowns, at some values of them.
+
+    Attributes:
+        information: Shape (m, m).
+        gradient: Half the derivative of the cost, shape (m,).
+        cost: Sum of squares in standard deviations.
+    """
+
+    information: Array
+    gradient: Array
+    cost: float
 
 
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
+    A platform whose cables end apart turns as it moves. Where known positions do not settle its
+    place, and lengths are to spare for it, so its rotation is unknown as well: the position of each
+    sample is followed by a rotation vector, from home's rotation [rad].
+
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
-    for each group of alike drums, and the lengths at the reference (n).
+    for each group of alike drums, the lengths at the reference (n), and, where tensions are
+    measured, the error of the compliance 1 / EA of each group of alike cables, as a share of it.
 
     Attributes:
         prior: Of the shared unknowns, m of them.
@@ -49,9 +74,19 @@ class MotorAngleProblem:
         radii: Place of each cable's radius error, shape (n,).
         buildups: Place of its build-up, shape (n,).
         zeros: Place of its length at the reference, shape (n,).
+        compliances: Place of the error of its compliance, shape (n,); empty without tensions.
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
-        known_sigma: Of known positions [m], shape (N, 3).
+        own: Unknowns of each sample: 3, or 6 with its rotation.
+        keeps_rotation: True if the platform has the rotation that it has at home.
+        reach: One standard deviation of a sample's own unknowns before any data, shape (own,).
+        home: Own unknowns at home, shape (own,).
+        known_axes: True for each own unknown that is known, shape (N, own). Where no sample has
+            some coordinate known, that of the reference is taken to be home's: see `reference`.
+        known_position: Known ones, shape (N, own).
+        known_sigma: One standard deviation of these, shape (N, own).
+        is_known: Samples with a known coordinate, shape (N,).
+        reference: Sample that is taken to be at home, and in which coordinates, or None.
     """
 
     def __init__(
@@ -65,25 +100,56 @@ class MotorAngleProblem:
             settings: Priors.
 
         Raises:
-            InvalidField: The robot file does not say how motor angle and length belong together.
+            InvalidField: The robot file does not say how motor angle and length belong together,
+                or a distance is between points that the robot lacks.
+            Unobservable: The origin cannot be put to home, as no sample was taken near there.
         """
         drums = drums_of(robot)
-        self.robot, self.angles = robot, angles
+        self.robot, self.angles, self.settings = robot, angles, settings
         self.advantage = drums.advantage
         home = straight_length(robot, robot.home_position[None]).length[0]
         zero = home if settings.length_at_zero is None else settings.length_at_zero
-        length = frozen_array("length_at_zero", zero, (robot.n,))
+        length = self._at_rest(frozen_array("length_at_zero", zero, (robot.n,)))
         turned = drums.motor_angle(length) / drums.gear
         self.radius = drums.radius - 0.5 * drums.buildup * turned
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
-        self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        mean = [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
-        self.prior = self._prior(np.concatenate(mean), settings)
+        places = shared_unknowns(
+            robot, drums, self.radius, length, settings, soft=angles.tension is not None
+        )
+        self.exits, self.radii, self.buildups = places.exits, places.radii, places.buildups
+        self.zeros, self.compliances, self.prior = places.zeros, places.compliances, places.prior
         spread = angles.known_sigma
+        self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
-            self.known_sigma[angles.is_known] = spread[angles.is_known]
+            known = angles.coordinates_known
+            self.known_sigma[known] = spread[known]
+        if settings.x_through is not None and settings.x_through not in robot.cable_names:
+            allowed = f"one of {list(robot.cable_names)}"
+            raise InvalidField("x_through", repr(settings.x_through), allowed)
+        self._ends = [
+            tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
+        ]
+        wound = self._unstrained(self.prior.mean, slice(None))
+        self._friction_noise = (
+            settings.friction_share / np.sqrt(3.0) * self.advantage
+            * self._strain(self.prior.mean, slice(None)) * (wound + robot.run_length)
+        )  # fmt: skip
+        turned = wound - length
+        self.reference = tied_to_home(angles, robot, self.prior, turned)
+        turns = np.zeros((len(angles.samples), self.own - 3))
+        self.known_axes = np.hstack([angles.coordinates_known, turns.astype(np.bool_)])
+        self.known_position = np.hstack([angles.known_position, turns])
+        self.known_sigma = np.hstack([self.known_sigma, turns + TIE_SIGMA_SHARE])
+        if self.reference is not None:
+            row, axes, sigma = self.reference.row, self.reference.axes, self.reference.sigma
+            self.known_axes[row, :3] |= axes
+            self.known_position[row, :3][axes] = robot.home_position[axes]
+            self.known_sigma[row, :3][axes] = sigma
+            # What of the rotation at home is a convention as well; known heights tell the rest.
+            self.known_axes[row, 3:] = [axes.all(), axes.all(), axes[:2].all()][: self.own - 3]
+        self.is_known: NDArray[np.bool_] = np.asarray(self.known_axes.any(axis=1))
 
     @property
     def size(self) -> int:
@@ -95,27 +161,95 @@ class MotorAngleProblem:
         """Longest cable at the reference, as known before [m]."""
         return float(self.prior.mean[self.zeros].max())
 
+    def turned(self, rotation: Array) -> MotorAngleProblem:
+        """Return the same with the exit points known before turned about home.
+
+        Args:
+            rotation: That leaves all known coordinates where they are, shape (3, 3).
+        """
+        turn = np.eye(self.size)
+        block = self.exits.ravel()
+        turn[np.ix_(block, block)] = np.kron(np.eye(self.robot.n), rotation)
+        mean = self.turned_values(rotation, self.prior.mean)
+        other = copy(self)
+        other.prior = replace(
+            self.prior, mean=mean, covariance=turn @ self.prior.covariance @ turn.T
+        )
+        return other
+
+    def turned_values(self, rotation: Array, shared: Array) -> Array:
+        """Return shared unknowns (m,) with the exit points turned about home."""
+        center = self.robot.home_position + self.offsets
+        new = shared.copy()
+        new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
+        return new
+
+    def line_noise(self, line_sigma: float) -> Array:
+        """Return one standard deviation of the line by noise and friction [m], shape (N, n)."""
+        return np.asarray(np.hypot(line_sigma, self._friction_noise))
+
+    def before(self, shared: Array) -> Before:
+        """Return what priors and measured distances say of the shared unknowns."""
+        moved = shared - self.prior.mean
+        pull = self.prior.information @ moved
+        miss, slope = self.distances(shared)
+        sigma = np.array([distance.sigma for distance in self.settings.distances])
+        white, tilt = miss / sigma, slope / sigma[:, None]
+        return Before(
+            information=self.prior.information + tilt.T @ tilt,
+            gradient=pull + tilt.T @ white,
+            cost=float(moved @ pull + white @ white),
+        )
+
+    def distances(self, shared: Array) -> tuple[Array, Array]:
+        """Return modelled less measured distances [m], (D,), and their derivative, (D, m)."""
+        miss = np.zeros(len(self._ends))
+        slope = np.zeros((len(self._ends), self.size))
+        for k, (first, second) in enumerate(self._ends):
+            ray = self._place(first, shared) - self._place(second, shared)
+            length = float(np.linalg.norm(ray))
+            miss[k] = length - self.settings.distances[k].length
+            for end, sign in ((first, 1.0), (second, -1.0)):
+                if end is not None:
+                    slope[k, self.exits[end]] = sign * ray / max(length, 1e-12)
+        return miss, slope
+
+    def points(self, shared: Array) -> Array:
+        """Return the exit points less the anchor points at home's rotation [m], shape (n, 3).
+
+        Turning these and the positions alike changes no length.
+        """
+        return np.asarray(shared[self.exits] - self.offsets)
+
+    @property
+    def offsets(self) -> Array:
+        """Anchor points at home's rotation, from the platform's origin [m], shape (n, 3)."""
+        return np.asarray(self.robot.anchor_points @ self.robot.home_rotation.T)
+
+    def _place(self, end: int | None, shared: Array) -> Array:
+        """Return an end of a distance [m], shape (3,): an exit point, or home."""
+        return self.robot.home_position if end is None else shared[self.exits[end]]
+
     def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
         """Return residuals and their derivatives.
 
         Args:
             shared: Shape (m,).
-            position: Of the chosen samples [m], shape (N, 3).
+            position: Own unknowns of the chosen samples, shape (N, own).
             rows: Chosen samples.
         """
-        angle = self._drum_angle[rows]
-        count, n = angle.shape
         straight, direction = self.straight(shared, position)
-        by_shared = np.zeros((count, n, self.size))
-        for i in range(n):
+        by_own = -direction
+        if self.own == 6:
+            moment = np.cross(self._arms(position), direction)
+            by_own = np.concatenate([by_own, -moment @ left_jacobian(position[:, 3:])], axis=2)
+        by_shared = self.wound_slope(shared, rows)
+        for i in range(self.robot.n):
             by_shared[:, i, self.exits[i]] = direction[:, i]
-            by_shared[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
-            by_shared[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
-            by_shared[:, i, self.zeros[i]] = 1.0
         return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
-            by_own=-direction,
+            by_own=by_own,
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
@@ -131,7 +265,12 @@ class MotorAngleProblem:
         return empty_radius, slope
 
     def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
-        """Return the lengths of the cables by their drums [m], shape (N, n)."""
+        """Return the lengths of the cables by their drums, stretched [m], shape (N, n)."""
+        length, strain = self._unstrained(shared, rows), self._strain(shared, rows)
+        return length + (length + self.robot.run_length) * strain
+
+    def _unstrained(self, shared: Array, rows: Rows) -> Array:
+        """Return the unstrained lengths of the cables by their drums [m], shape (N, n)."""
         drums = replace(
             self._drums,
             radius=self.radius + shared[self.radii],
@@ -139,6 +278,30 @@ class MotorAngleProblem:
             gear=np.ones(self.robot.n),
         )
         return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
+
+    def _strain(self, shared: Array, rows: Rows) -> Array:
+        """Return the strains of the cables, shape (N, n); 0 where tensions are unknown."""
+        if self.angles.tension is None:
+            return np.zeros_like(self._drum_angle[rows])
+        tension = self.angles.tension[rows]
+        return np.asarray(tension * (1.0 + shared[self.compliances]) / self.robot.axial_stiffness)
+
+    def wound_slope(self, shared: Array, rows: Rows = slice(None)) -> Array:
+        """Return the derivative of `wound`, shape (N, n, m); without tensions it is linear."""
+        angle = self._drum_angle[rows]
+        count, n = angle.shape
+        slope = np.zeros((count, n, self.size))
+        for i in range(n):
+            slope[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
+            slope[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
+            slope[:, i, self.zeros[i]] = 1.0
+        if self.angles.tension is not None:
+            slope *= (1.0 + self._strain(shared, rows))[:, :, None]
+            soft = self.angles.tension[rows] / self.robot.axial_stiffness
+            soft = soft * (self._unstrained(shared, rows) + self.robot.run_length)
+            for i in range(n):
+                slope[:, i, self.compliances[i]] = soft[:, i]
+        return slope
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
         """Return the straight lengths (N, n) [m] and directions (N, n, 3), as `straight_length`.
@@ -148,66 +311,56 @@ class MotorAngleProblem:
         """
         exits, count = shared[self.exits], len(position)
         n = len(exits)
-        moved = (position - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
-        cables = straight_length(self.robot, moved)
+        moved = (position[:, :3] - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
+        rotation = np.tile(self.rotations(position), (n, 1, 1)) if self.own == 6 else None
+        cables = straight_length(self.robot, moved, rotation)
         each = np.arange(n)
         length = cables.length.reshape(n, count, n)[each, :, each].T
         return length, cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
 
-    def _makes(self) -> list[tuple[float, ...]]:
-        """Return what drums of one make have in common."""
-        drums = self._drums
-        return list(zip(drums.gear, drums.advantage, drums.buildup, strict=True))
+    def rotations(self, position: Array) -> Array:
+        """Return the rotations from P to W of own unknowns (N, own), shape (N, 3, 3)."""
+        home = self.robot.home_rotation
+        if self.own == 3:
+            return np.tile(home, (len(position), 1, 1))
+        return np.asarray(from_rotation_vector(position[:, 3:]) @ home)
 
-    def _set_places(self, group: Sequence[int]) -> None:
-        """Give each unknown its place and its name."""
-        n = self.robot.n
-        cables = self.robot.cable_names
-        self._groups = max(group) + 1
-        self._buildups = sorted(set(self._drums.buildup.tolist()))
-        of_buildup = [self._buildups.index(b) for b in self._drums.buildup.tolist()]
-        self.exits = np.arange(3 * n).reshape(n, 3)
-        self.radii = 3 * n + np.array(group)
-        self.buildups = 3 * n + self._groups + np.array(of_buildup)
-        self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
-        self._names = (
-            *point_names("exit_points", cables),
-            *(f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)),
-            *(f"drum_buildup[{_joined(cables, of_buildup, g)}]"
-              for g in range(len(self._buildups))),
-            *(f"length_at_zero[{cable}]" for cable in cables),
-        )  # fmt: skip
+    def _arms(self, position: Array) -> Array:
+        """Return the anchor points from the platform's origin, in W [m], shape (N, n, 3)."""
+        turn = from_rotation_vector(position[:, 3:])
+        return np.asarray(self.offsets @ turn.swapaxes(1, 2))
 
-    def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
-        """Return what the robot file and the settings say of the shared unknowns."""
-        exits = self._names[: self.exits.size]
-        sigma = np.full(len(mean), LENGTH_AT_ZERO_SIGMA_M)
-        sigma[: len(exits)] = settings.exit_sigma
-        sigma[self.radii] = DRUM_RADIUS_SIGMA_M
-        sigma[self.buildups] = DRUM_BUILDUP_SIGMA_SHARE * np.maximum(mean[self.buildups], 1e-9)
-        covariance = np.diag(sigma**2)
-        block = slice(0, len(exits))
-        covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
-        return Prior(names=self._names, mean=mean, covariance=covariance)
+    def _set_own(self) -> None:
+        """Decide whether the rotation of each sample is unknown."""
+        offsets = self.offsets
+        apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
+        self.keeps_rotation = (
+            self.settings.keeps_rotation
+            or self.angles.spans_plane
+            or apart < POINT_LIKE_SHARE * self.longest
+        )
+        self.own = 3 if self.keeps_rotation or self.robot.n <= 6 else 6
+        far = POSITION_PRIOR_FACTOR * self.longest
+        self.reach = np.array([far] * 3 + [TURN_PRIOR_RAD] * 3)[: self.own]
+        self.home = np.concatenate([self.robot.home_position, np.zeros(3)])[: self.own]
+
+    def _at_rest(self, length: Array) -> Array:
+        """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""
+        if self.angles.tension is None:
+            return length
+        row = int(np.argmin(np.abs(self.angles.motor_angle).max(axis=1)))
+        strain = self.angles.tension[row] / self.robot.axial_stiffness
+        return np.asarray((length - self.robot.run_length * strain) / (1.0 + strain))
 
 
-def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:
-    """Group drums of one make: the same radius with all line wound in, or at the reference."""
-    group: list[int] = []
-    for i in range(len(makes)):
-        for j in range(i):
-            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE_RADIUS_M
-            if makes[i] == makes[j] and same:
-                group.append(group[j])
-                break
-        else:
-            group.append(max(group, default=-1) + 1)
-    return group
-
-
-def _joined(cables: Sequence[str], group: Sequence[int], g: int) -> str:
-    """Return the cables of one group."""
-    return ", ".join(name for name, mine in zip(cables, group, strict=True) if mine == g)
+def _end(robot: Robot, name: str) -> int | None:
+    """Return the place of a cable by its name; None for home."""
+    if name in robot.cable_names:
+        return robot.cable_names.index(name)
+    if name != HOME:
+        allowed = f"one of {list(robot.cable_names)}, for its exit point, or {HOME!r}"
+        raise InvalidField("end of a distance", repr(name), allowed)
+    return None
 
 
 def check_drums(robot: Robot) -> None:

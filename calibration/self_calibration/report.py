@@ -32,8 +32,8 @@ def left_out_rows(result: SelfCalibration) -> Rows:
     return [
         (
             one.sample,
-            *(f"{1e3 * value:+.2f}" for value in one.error),
-            f"{1e3 * float(np.linalg.norm(one.error)):.2f}",
+            *("" if np.isnan(value) else f"{1e3 * value:+.2f}" for value in one.error),
+            f"{1e3 * one.distance:.2f}",
             _triple(1e3 * one.sigma),
         )
         for one in result.left_out
@@ -96,4 +96,4 @@ def _position_rows(result: SelfCalibration) -> Rows:
 
 
 def _triple(values: Array) -> str:
-    return ", ".join(f"{value:.1f}" for value in values)
+    return ", ".join("-" if np.isnan(value) else f"{value:.1f}" for value in values)

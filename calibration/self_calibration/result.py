@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.result import CalibrationResult
+from calibration.self_calibration.frame import Frame
+from calibration.self_calibration.rivals import OUTSIDE_SHARE, Rival
+from calibration.self_calibration.scale import Scale
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.parameter_names import field_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +37,18 @@ class LeftOut:
 
     Attributes:
         sample: Its name.
-        error: Predicted less known position [m], shape (3,).
+        error: Predicted less known position [m], shape (3,); NaN along an axis that is unknown.
         sigma: One standard deviation of that error [m], shape (3,).
     """
 
     sample: str
     error: Array
     sigma: Array
+
+    @property
+    def distance(self) -> float:
+        """Distance of the predicted from the known position along the known axes [m]."""
+        return float(np.sqrt(np.nansum(self.error**2)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,11 +58,13 @@ class SelfCalibration(CalibrationResult):
     Attributes:
         samples: Names.
         position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3): home's unless lengths tell it.
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
         used: Samples whose motor angles were used, shape (N,).
-        is_known: Samples whose position is known, shape (N,).
+        is_known: Samples with a known coordinate, shape (N,).
+        known_axes: True for each coordinate that is known, shape (N, 3).
         known_position: Known positions, 0 elsewhere [m], shape (N, 3).
         advantage: Line paid out per length of cable, shape (n,).
         length_at_zero: Lengths where the motor angles are 0 [m], shape (n,).
@@ -62,14 +73,19 @@ class SelfCalibration(CalibrationResult):
         redundancy: Lengths beyond those that the unknowns take.
         blunders: Samples that were left out.
         left_out: Known positions predicted one at a time, where the others suffice.
+        frame: Convention that holds what nothing that was measured tells.
+        scale: How well the size of everything is known, and from what.
+        rivals: Other solutions, the best of them first.
     """
 
     samples: tuple[str, ...]
     position: Array
+    rotation: Array
     position_sigma: Array
     residual: Array
     used: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
+    known_axes: NDArray[np.bool_]
     known_position: Array
     advantage: Array
     length_at_zero: Array
@@ -78,6 +94,9 @@ class SelfCalibration(CalibrationResult):
     redundancy: float
     blunders: tuple[SampleBlunder, ...]
     left_out: tuple[LeftOut, ...]
+    frame: Frame
+    scale: Scale
+    rivals: tuple[Rival, ...]
 
     @property
     def residual_rms(self) -> float:
@@ -97,6 +116,7 @@ class SelfCalibration(CalibrationResult):
             "robot": self.before.name,
             "positions_m": {name: place for name, place, _, _ in each},
             "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
+            "rotations": dict(zip(self.samples, self.rotation, strict=True)),
             "residuals_m": {name: miss for name, _, _, miss in each},
             "residual_rms_m": self.residual_rms,
             "line_residual_rms_m": self.line_residual_rms,
@@ -113,6 +133,17 @@ class SelfCalibration(CalibrationResult):
             "left_out": {
                 one.sample: {"error_m": one.error, "sigma_m": one.sigma} for one in self.left_out
             },
+            "frame": self.frame.data(),
+            "scale": {"sigma": self.scale.sigma, "sources": self.scale.sources},
+            "other_solutions": [
+                {
+                    "cost": rival.cost,
+                    "distance_m": rival.distance,
+                    "mirrored": rival.mirrored,
+                    "outside_workspace": rival.outside > OUTSIDE_SHARE,
+                }
+                for rival in self.rivals
+            ],
             "warnings": list(self.warnings),
         }
 
@@ -129,18 +160,47 @@ class SelfCalibration(CalibrationResult):
             f"positions are known to {sure.min():.1f} to {sure.max():.1f} mm (1 sigma per axis)",
         ]
         if self.left_out:
-            error = [1e3 * float(np.linalg.norm(one.error)) for one in self.left_out]
+            error = [1e3 * one.distance for one in self.left_out]
             worst = self.left_out[int(np.argmax(error))].sample
             lines.append(
                 f"known positions, left out one at a time, are predicted within {max(error):.1f} "
                 f"mm (worst: sample {worst}), {np.sqrt(np.mean(np.square(error))):.1f} mm RMS"
             )
-        else:
+        elif self.is_known.any():
             lines.append(
                 "no known position can be left out: the others do not suffice to predict it"
             )
-        lines.append(
-            "cables were taken as straight and stiff, as no tensions are known; what a constant "
-            "tension stretches counts as drum radius"
-        )
+        lines += self.frame.sentences()
+        lines.append(self.scale.sentence())
+        lines += self._rival_sentences()
+        lines.append(self._stretch_sentence())
         return lines
+
+    def _stretch_sentence(self) -> str:
+        """Return how stretch was treated."""
+        stiff = [name for name in self.estimate.names if field_of(name) == "axial_stiffness"]
+        if not stiff:
+            return (
+                "cables were taken as straight and stiff, as no tensions are known; what a "
+                "constant tension stretches counts as drum radius"
+            )
+        known = self.estimate.select(stiff)
+        share = 100.0 * float((known.sigma / known.value).max())
+        return (
+            f"cables were taken as straight, and stretch by the measured tensions; their stiffness "
+            f"is known to {share:.0f} %"
+        )
+
+    def _rival_sentences(self) -> list[str]:
+        """Return how much worse the best other solution is."""
+        if not self.rivals:
+            return ["no other solution was found"]
+        rival = self.rivals[0]
+        kind = "its mirror image" if rival.mirrored else "another one"
+        end = (
+            ", and has positions outside of the workspace" if rival.outside > OUTSIDE_SHARE else ""
+        )
+        return [
+            f"the best other solution, {kind}, is {rival.cost:.3g} squared standard deviations "
+            f"worse{end}"
+        ]

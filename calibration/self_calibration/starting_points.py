@@ -1,8 +1,9 @@
 """A start in the right basin, from what is known roughly.
 
-The distances from an exit point to the known positions leave a few places for it: two where the
-known positions lie in a plane, mirrored. The cables' places are combined, every position is looked
-up on a grid in the workspace, and a robust fit of everything says which combination is right.
+The distances from an exit point to three known positions or more leave a few places for it: two
+where they lie in a plane, mirrored. The cables' places are combined, every position is looked up on
+a grid in the workspace, and a robust fit of everything says which combination is right. With fewer
+known positions everything is fitted from many drawn starts (`batch_starts`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.robust import cauchy
+from calibration.self_calibration.batch_starts import batch_starts
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
@@ -23,6 +25,7 @@ PLACES_KEPT = 3  # of one exit point that are kept
 PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
 COMBINATIONS_KEPT = 32  # combinations that are tried
 STARTS_KEPT = 4
+BATCH_STEPS_MAX = 30  # steps of a fit of all samples after the batch of starts
 SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
 GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
 
@@ -51,6 +54,8 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     Returns:
         Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
+    if not problem.angles.spans_plane:
+        return _from_batch(problem)
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]
     for places in choices:  # the cheapest of all combinations, cable by cable
@@ -58,13 +63,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
         combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[
             :COMBINATIONS_KEPT
         ]
-    angles = problem.angles
-    trust = Trust(
-        line_sigma=LINE_SIGMA_START_M,
-        lengths=np.ones(len(angles.samples), dtype=np.bool_),
-        known=angles.is_known,
-        robust=True,
-    )
+    trust = _all_data(problem)
     first = []
     for chosen in combined:
         shared = problem.prior.mean.copy()
@@ -74,6 +73,51 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
         first.append(fit(problem, shared, _positions(problem, shared), trust, steps=12))
     last = [fit(problem, f.shared, f.position, trust) for f in _different(problem, first)]
     return _different(problem, last)
+
+
+def _from_batch(problem: MotorAngleProblem) -> list[SampleFit]:
+    """Fit everything from where the best starts of a batch ended."""
+    batch = batch_starts(problem, np.random.default_rng(0))
+    trust = _all_data(problem)
+    ends = []
+    for k in range(len(batch.shared)):
+        position = _positions(problem, batch.shared[k])
+        position[batch.rows] = batch.position[k]
+        ends.append(
+            SampleFit(
+                shared=batch.shared[k],
+                position=position,
+                cost=float(batch.cost[k]),
+                converged=False,
+            )
+        )
+    fits = [
+        fit(problem, end.shared, end.position, trust, steps=BATCH_STEPS_MAX)
+        for end in _different_shapes(problem, ends)
+    ]
+    return _different_shapes(problem, fits)
+
+
+def _all_data(problem: MotorAngleProblem) -> Trust:
+    """Return a robust trust in all data, with the noise that is assumed at the start."""
+    return Trust(
+        line_sigma=LINE_SIGMA_START_M,
+        lengths=np.ones(len(problem.angles.samples), dtype=np.bool_),
+        known=problem.is_known,
+        robust=True,
+    )
+
+
+def _different_shapes(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
+    """Keep the best of the fits of one shape, however turned or mirrored, the best first."""
+    kept: list[tuple[Array, SampleFit]] = []
+    near = SAME_PLACE_SHARE * problem.longest
+    for solution in sorted(fits, key=lambda one: one.cost):
+        points = np.vstack([problem.points(solution.shared), problem.robot.home_position])
+        sides = np.linalg.norm(points[:, None] - points, axis=2)
+        if all(np.abs(sides - other).max() > near for other, _ in kept):
+            kept.append((sides, solution))
+    return [solution for _, solution in kept[:STARTS_KEPT]]
 
 
 def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
@@ -90,7 +134,7 @@ def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[Sample
 def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     """Find places of one exit point by its lengths to the known positions."""
     angles, robot = problem.angles, problem.robot
-    known = angles.is_known
+    known = angles.coordinates_known.all(axis=1)
     anchor = robot.home_rotation @ robot.anchor_points[cable]
     points = angles.known_position[known] + anchor
     zero = float(problem.prior.mean[problem.zeros[cable]])
@@ -146,13 +190,14 @@ def _trilaterated(
 
 def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
     """Return known positions as they are, the others from a workspace grid, shape (N, 3)."""
-    robot, angles = problem.robot, problem.angles
+    robot = problem.robot
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     sides = [np.linspace(low, high, GRID_POINTS_PER_SIDE) for low, high in corners.T]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.hstack([grid, np.zeros((len(grid), problem.own - 3))])
     straight, _ = problem.straight(shared, grid)
     best = ((problem.wound(shared)[:, None] - straight) ** 2).sum(axis=2).argmin(axis=1)
-    return np.where(angles.is_known[:, None], angles.known_position, grid[best])
+    return np.where(problem.known_axes, problem.known_position, grid[best])
 
 
 def _sphere(count: int) -> Array:

@@ -24,10 +24,12 @@ class MeasurementNoise:
     Attributes:
         line: Of the line paid out by a drum [m].
         known: Of known positions per axis [m].
+        friction: Largest share of a tension that friction adds or takes away [1].
     """
 
     line: float = 1e-3
     known: float = 1e-3
+    friction: float = 0.0
 
 
 def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibrationSettings) -> Robot:
@@ -60,6 +62,8 @@ def measure_motor_angles(
     rng: np.random.Generator,
     *,
     blunders: Mapping[tuple[int, int], float] | None = None,
+    tension: Array | None = None,
+    rotation: Array | None = None,
 ) -> MotorAngles:
     """Simulate what the motors of a robot show.
 
@@ -69,13 +73,20 @@ def measure_motor_angles(
         known: Numbers of the samples whose position is known, shape (K,).
         noise: Of the measurement.
         rng: Generator.
+        tension: With which the motors hold the cables [N], shape (N, n); None: cables are stiff,
+            and no tensions are measured.
+        rotation: From P to W, shape (N, 3, 3); None: home's.
         blunders: Line that got lost [m], by sample and cable, such as a cable off its pulley.
 
     Returns:
         Motor angles; sample 0 is at angle 0 but for noise.
     """
     drums = drums_of(robot)
-    length = inverse_kinematics(robot, position)
+    length = inverse_kinematics(robot, position, rotation)
+    if tension is not None:
+        friction = 1.0 + rng.uniform(-noise.friction, noise.friction, length.shape)
+        strain = tension * friction / robot.axial_stiffness
+        length = (length - robot.run_length * strain) / (1.0 + strain)
     extra = rng.normal(0.0, noise.line, length.shape)
     for (row, cable), line in (blunders or {}).items():
         if not 0 <= row < len(position) or not 0 <= cable < robot.n:
@@ -91,6 +102,7 @@ def measure_motor_angles(
         motor_angle=angle - drums.motor_angle(length[:1]),
         known_position=np.where(is_known[:, None], measured, 0.0),
         is_known=is_known,
+        tension=tension,
     )
 
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 
+SMALL_ANGLE_RAD = 1e-2  # below which a series is more exact than the formula
+
 
 def to_matrix(quaternion: Array) -> Array:
     """Return the rotation matrices (B, 3, 3) of quaternions (B, 4), which are normalised first."""
@@ -40,12 +42,28 @@ def from_matrix(rotation: Array) -> Array:
 
 
 def from_rotation_vector(vector: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
+    """Return the matrices (..., 3, 3) of rotation vectors (..., 3) [rad], by Rodrigues' formula."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     cross = cross_matrix(vector)
     half = np.sinc(0.5 * angle / np.pi)  # sin(x) / x of half the angle
     turn = np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
     return np.asarray(turn)
+
+
+def left_jacobian(vector: Array) -> Array:
+    r"""Return the angular change in W per change of rotation vectors (..., 3), (..., 3, 3).
+
+    With the matrix of the cross product :math:`[v]` and the angle :math:`a = |v|`,
+
+    .. math:: J = I + \frac{1 - \cos a}{a^2} [v] + \frac{a - \sin a}{a^3} [v]^2.
+    """
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    cross = cross_matrix(vector)
+    first = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    small = angle < SMALL_ANGLE_RAD
+    safe = np.where(small, 1.0, angle)
+    second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:

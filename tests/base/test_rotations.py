@@ -86,3 +86,17 @@ def test_metadata_faults(fields, message):
 def test_metadata_round_trip():
     metadata = RecordingMetadata(robot="scampi", citation="someone")
     assert RecordingMetadata.from_dict(metadata.to_dict()) == metadata
+
+
+def test_the_left_jacobian_is_the_derivative_of_the_rotation():
+    rng = np.random.default_rng(0)
+    for vector in (np.zeros(3), 1e-4 * rng.normal(size=3), rng.normal(size=3)):
+        jacobian = quaternions.left_jacobian(vector)
+        back = quaternions.from_rotation_vector(vector).T
+        for k in range(3):
+            away = 1e-6 * np.eye(3)[k]
+            ends = [quaternions.from_rotation_vector(vector + sign * away) for sign in (1, -1)]
+            change = (ends[0] - ends[1]) @ back / 2e-6
+            assert quaternions.cross_matrix(jacobian[:, k]) == pytest.approx(change, abs=1e-8)
+    both = quaternions.left_jacobian(np.array([vector, 2 * vector]))
+    assert both[0] == pytest.approx(jacobian, abs=1e-15)

@@ -7,10 +7,9 @@ from scipy.stats import chi2
 from calibration.observability import Unobservable
 from calibration.self_calibration.blunder_tests import settle
 from calibration.self_calibration.calibrate import calibrate_motor_angles
-from calibration.self_calibration.map_estimate import estimate
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
-from calibration.self_calibration.solver import equations
+from calibration.self_calibration.solver import equations, inverse
 from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import (
     MeasurementNoise,
@@ -18,6 +17,7 @@ from calibration.self_calibration.synthetic import (
     measure_motor_angles,
 )
 from carosac_toolkit.base.errors import InvalidField
+from tests.calibration.self_calibration.factor_graph import estimate
 from tests.calibration.self_calibration.scenes import KNOWN, scene
 from tests.calibration.self_calibration.test_problem import rotated_robot
 
@@ -102,7 +102,7 @@ def test_gtsam_and_the_eliminated_equations_agree():
     settled = settle(problem, starts(problem)[0], SelfCalibrationSettings())
     graph = estimate(problem, settled)
     system = equations(problem, settled.fit.shared, settled.fit.position, settled.trust)
-    expected = np.linalg.inv(system.information)
+    expected = inverse(system.information)
     sigma = np.sqrt(np.diag(expected))
     assert (graph.shared - settled.fit.shared) / sigma == pytest.approx(0.0, abs=1e-3)
     assert np.sqrt(np.diag(graph.covariance)) == pytest.approx(sigma, rel=1e-3)
@@ -124,31 +124,6 @@ def test_lost_line_and_a_wrong_known_position_are_named_and_do_no_harm():
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 12)
     clean = calibrate_motor_angles(scene(4, count=36)[3], before)
     assert exits(result) == pytest.approx(exits(clean), abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("known", "message"),
-    [
-        ((), "no position is known, which leaves place and turns of everything free"),
-        ((0,), "1 position is known, which leaves turns about it free"),
-        ((0, 1), "2 positions are known, which leaves a turn about the line through them free"),
-    ],
-)
-def test_too_few_known_positions_are_refused_with_the_reason(known, message):
-    before, _, _, angles = scene(known=known)
-    with pytest.raises(Unobservable, match=message) as caught:
-        calibrate_motor_angles(angles, before)
-    assert "Allowed: at least three known positions" in str(caught.value)
-    assert "exit_points[" in str(caught.value)
-
-
-def test_known_positions_on_one_line_are_refused():
-    before, truth, place, _ = scene()
-    place[1:4] = [[0.2, 0.1, 0.0], [0.4, 0.2, 0.0], [-0.2, -0.1, 0.0]]
-    rng = np.random.default_rng(0)
-    angles = measure_motor_angles(truth, place, np.arange(4), SILENT, rng)
-    with pytest.raises(Unobservable, match="lie on one line, which leaves a turn about it free"):
-        calibrate_motor_angles(angles, before)
 
 
 def test_exit_points_that_are_known_better_need_fewer_known_positions():

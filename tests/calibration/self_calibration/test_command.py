@@ -20,6 +20,12 @@ class Options:
     output: Path | None = None
     report: Path | None = None
     seed: int = 0
+    distance: tuple = ()
+    x_through: str | None = None
+    accuracy: float | None = None
+    keeps_rotation: bool = False
+    home_length_prior: float = 0.02
+    radius_prior: float = 2e-3
 
 
 @pytest.fixture

@@ -65,6 +65,21 @@ def test_what_is_written_reads_back_the_same(tmp_path):
             assert np.array_equal(again.known_sigma[one.is_known], spread[one.is_known])
 
 
+def test_single_coordinates_may_be_known(tmp_path):
+    text = "sample,motor_a_deg,known_z_mm,known_sigma_z_mm\n0,0,0,2\n1,5,,\n2,3,40,1\n"
+    angles = loaded(tmp_path, text)
+    assert angles.known_axes.tolist() == [
+        [False, False, True], [False] * 3, [False, False, True],
+    ]  # fmt: skip
+    assert angles.is_known.tolist() == [True, False, True]
+    assert angles.known_position[2] == pytest.approx([0.0, 0.0, 0.04])
+    assert angles.known_sigma[0, 2] == pytest.approx(2e-3)
+    write_motor_angles(angles, tmp_path / "again.csv")
+    again = load_motor_angles(tmp_path / "again.csv")
+    assert np.array_equal(again.known_axes, angles.known_axes)
+    assert np.array_equal(again.known_position, angles.known_position)
+
+
 def test_a_file_of_motor_angles_is_told_from_others(tmp_path):
     path = tmp_path / "file.csv"
     path.write_text(GOOD)
@@ -80,7 +95,6 @@ def test_all_faults_of_a_file_come_at_once_with_their_lines(tmp_path):
     text = GOOD.replace("180", "18O").replace("1,2,3\n", "1,,3\n") + "2,1,1,,,\n3,4\n,1,1,,,\n"
     assert faults(tmp_path, text) == (
         "line 4: a: got '18O'; allowed: a number",
-        "line 5: known_y_mm: blank; allowed: all three coordinates of a known position, or none",
         "line 7: got 2 cells; allowed: 6, as in the header (is the file cut?)",
         "line 6: sample: got '2', as on line 5; allowed: a new name",
         "line 8: sample: got ''; allowed: a new name",
@@ -94,7 +108,12 @@ def test_all_faults_of_a_file_come_at_once_with_their_lines(tmp_path):
         ("known_z_mm", "known_z_inch", "column 'known_z_inch': unknown; allowed: sample, motor_"),
         ("motor_b_deg", "motor_a_rad", "motor a: two columns"),
         (",known_z_mm", ",known_y_m", "column known_y_m: the same coordinate comes twice"),
-        (",known_z_mm", ",known_sigma_x_mm", "column known_sigma_y_mm, known_sigma_z_mm: missing"),
+        (
+            ",known_z_mm",
+            ",known_sigma_x_mm",
+            "column known_sigma_y_mm: missing; allowed: known",
+        ),
+        (",known_x_mm", ",known_sigma_x_mm", "column known_x_mm: missing"),
         ("motor_a_deg,motor_b_deg", "known_sigma_x_m,known_sigma_y_m", "no motor angles"),
         ("1e3,", "inf,", "line 5: a: got 'inf'"),
     ],
@@ -133,3 +152,52 @@ def test_known_positions_can_be_left_out(tmp_path):
     assert angles.without_known(["2"]).is_known.tolist() == [True, False, False]
     with pytest.raises(InvalidField, match="sample: got 'x'; allowed: one of"):
         angles.without_known(["x"])
+
+
+def test_tensions_are_read_by_the_motor_s_name(tmp_path):
+    text = "sample,motor_a_deg,motor_b_deg,force_b_n,force_a_n\n0,0,0,3,2\n1,5,7,4,1\n"
+    angles = loaded(tmp_path, text)
+    assert angles.tension.tolist() == [[2.0, 3.0], [1.0, 4.0]]
+    write_motor_angles(angles, tmp_path / "again.csv")
+    assert np.array_equal(load_motor_angles(tmp_path / "again.csv").tension, angles.tension)
+    assert faults(tmp_path, text.replace("force_b_n", "force_c_n")) == (
+        "forces of ['c', 'a']; allowed: one of each motor, or none at all",
+    )
+    assert faults(tmp_path, text.replace("3,2", "-3,2")) == (
+        "line 2: force: got < 0; allowed: >= 0",
+    )
+
+
+LOG = """# torque mode, mover dragged
+motor_pos_samp = np.array([
+    [0, -0.07, 0.0],
+    [-4834.89, 7431.31, 1309.72, ],
+    [9, 8, 7],
+])
+xyz_of_samp = np.array([[0, 0, 0], [nan, np.nan, 100.5]])
+"""
+
+
+def test_what_a_hangprinter_answers_is_read(tmp_path):
+    angles = loaded(tmp_path, LOG)
+    assert holds_motor_angles(tmp_path / "angles.csv")
+    assert angles.cables == ("01", "02", "03") and angles.samples == ("0", "1", "2")
+    assert angles.motor_angle[1] == pytest.approx(np.radians([-4834.89, 7431.31, 1309.72]))
+    assert angles.known_axes.tolist() == [[True] * 3, [False, False, True], [False] * 3]
+    assert angles.known_position[1, 2] == pytest.approx(0.1005)
+    bare = loaded(tmp_path, "[0, 0],\n[1, 2],\n")
+    assert bare.motor_angle[1] == pytest.approx(np.radians([1.0, 2.0]))
+    assert not bare.is_known.any()
+
+
+def test_faults_of_a_log_come_with_their_lines(tmp_path):
+    assert faults(tmp_path, LOG.replace("1309.72, ", "1309.72, x")) == (
+        "line 4: got 'x'; allowed: a number",
+        "line 4: got 4 numbers; allowed: 3 angles, as in the first list",
+    )
+    assert faults(tmp_path, "[1, 2]\n[nan, 2]\n[]\n") == (
+        "line 2: got 'nan'; allowed: a number",
+        "line 3: got 0 numbers; allowed: 2 angles, as in the first list",
+    )
+    more = "motor_pos_samp = [[1, 2]]\nxyz_of_samp = [[1, 2, 3], [4, 5, 6]]\n"
+    assert faults(tmp_path, more)[0].startswith("xyz_of_samp: got 2 lists; allowed: at most 1")

@@ -8,6 +8,7 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
 from tests.robots import eight_cable_robot, with_pulleys
@@ -29,22 +30,25 @@ def rotated_robot():
     )
 
 
-def rotated_problem():
-    robot = rotated_robot()
+def rotated_problem(soft=False):
+    robot = replace(rotated_robot(), axial_stiffness=np.repeat([2e4, 5e4], 4))
     rng = np.random.default_rng(3)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
     place[0] = robot.home_position
-    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng)
-    return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
+    tension = rng.uniform(5.0, 50.0, (5, 8)) if soft else None
+    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng, tension=tension)
+    return MotorAngleProblem(robot, angles, SelfCalibrationSettings(keeps_rotation=True)), place
 
 
-def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation():
-    problem, place = rotated_problem()
+@pytest.mark.parametrize("soft", [False, True])
+def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation(soft):
+    problem, place = rotated_problem(soft)
     assert problem.linearize(problem.prior.mean, place).residual == pytest.approx(0.0, abs=1e-12)
 
 
-def test_derivatives_agree_with_finite_differences():
-    problem, place = rotated_problem()
+@pytest.mark.parametrize("soft", [False, True])
+def test_derivatives_agree_with_finite_differences(soft):
+    problem, place = rotated_problem(soft)
     rng = np.random.default_rng(4)
     shared = problem.prior.mean * (1.0 + 0.02 * rng.normal(size=problem.size))
     shared[problem.radii] += 1e-3
@@ -130,3 +134,25 @@ def test_lengths_measured_by_hand_are_where_the_search_starts():
     assert problem.prior.mean[problem.zeros] == pytest.approx([1.6, 1.8, 1.5, 2.4])
     assert problem.prior.sigma[problem.zeros] == pytest.approx(0.02)
     assert problem.longest == 2.4
+
+
+def test_derivatives_by_a_free_rotation_agree_with_finite_differences():
+    robot = rotated_robot()
+    rng = np.random.default_rng(7)
+    place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
+    place[0] = robot.home_position
+    turns = rng.normal(0.0, 0.3, (5, 3))
+    turns[0] = 0.0
+    rotation = from_rotation_vector(turns) @ robot.home_rotation
+    angles = measure_motor_angles(robot, place, np.arange(0), SILENT, rng, rotation=rotation)
+    problem = MotorAngleProblem(robot, angles, SelfCalibrationSettings())
+    assert problem.own == 6
+    own = np.hstack([place, turns])
+    linear = problem.linearize(problem.prior.mean, own)
+    assert linear.residual == pytest.approx(0.0, abs=1e-12)
+    assert problem.rotations(own) == pytest.approx(rotation, abs=1e-15)
+    for k in range(6):
+        away = 1e-6 * np.eye(6)[k]
+        ends = [problem.linearize(problem.prior.mean, own + s * away).residual for s in (1, -1)]
+        slope = (ends[0] - ends[1]) / 2e-6
+        assert linear.by_own[:, :, k] == pytest.approx(slope, abs=1e-7)

@@ -1,4 +1,4 @@
-"""The maximum a posteriori estimate and its covariance by a factor graph (gtsam)."""
+"""The same estimate and covariance by a factor graph (gtsam), to compare with."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.self_calibration.blunder_tests import SettledFit
-from calibration.self_calibration.problem import MotorAngleProblem
-from calibration.self_calibration.solver import POSITION_PRIOR_FACTOR
+from calibration.self_calibration.problem import POSITION_PRIOR_FACTOR, MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
 
@@ -78,16 +77,37 @@ def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
         problem.prior.information * np.outer(scale, scale)
     )
     graph.addPriorVector(S(0), np.zeros(problem.size), prior)
+    if problem.settings.distances:
+        sigmas = np.array([distance.sigma for distance in problem.settings.distances])
+        taped = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        graph.add(gtsam.CustomFactor(taped, [S(0)], _distances(problem, scale)))
     wide = gtsam.noiseModel.Isotropic.Sigma(3, POSITION_PRIOR_FACTOR * problem.longest)
     noise = gtsam.noiseModel.Diagonal.Sigmas(trust.line_sigma / problem.advantage)
     for k in range(len(angles.samples)):
         graph.addPriorPoint3(X(k), problem.robot.home_position, wide)
         if trust.known[k]:
-            tight = gtsam.noiseModel.Diagonal.Sigmas(problem.known_sigma[k])
-            graph.addPriorPoint3(X(k), angles.known_position[k], tight)
+            axes, spread = problem.known_axes[k], POSITION_PRIOR_FACTOR * problem.longest
+            tight = gtsam.noiseModel.Diagonal.Sigmas(np.where(axes, problem.known_sigma[k], spread))
+            place = np.where(axes, problem.known_position[k], problem.robot.home_position)
+            graph.addPriorPoint3(X(k), place, tight)
         if trust.lengths[k]:
             graph.add(gtsam.CustomFactor(noise, [S(0), X(k)], _lengths(problem, scale, k)))
     return graph
+
+
+def _distances(
+    problem: MotorAngleProblem, scale: Array
+) -> Callable[[Any, Any, list[Array] | None], Array]:
+    """Return the error function of the measured distances, with its Jacobian."""
+
+    def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
+        shared = problem.prior.mean + scale * values.atVector(factor.keys()[0])
+        miss, slope = problem.distances(shared)
+        if jacobians is not None:
+            jacobians[0] = np.asfortranarray(slope * scale)
+        return miss
+
+    return error
 
 
 def _lengths(

@@ -1,0 +1,257 @@
+"""Slow moves of a robot whose geometry is hardly known, with tensions kept by feedback.
+
+Lengths alone would stretch or slacken the cables of a robot with more cables than its platform
+needs: their errors by wrong exit points are large against how far a cable stretches. So the lengths
+follow the geometry as it is known, and what no move of the platform changes (the spare directions
+of the lengths) is wound until all tensions are between the lowest and the highest that are used on
+purpose. A move slows down as tensions leave that range, waits half-way to a limit, and turns back
+where they do not come back. Wherever it ends with taut cables is as good a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from calibration.guide.samples import Rest
+from calibration.guide.settings import GuideSettings
+from calibration.self_calibration.balance import force_balance, operating_tensions
+from calibration.self_calibration.knowledge import Knowledge, expected_angles, spare_directions
+from calibration.self_calibration.safe_tensions import tension_error
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.protocols import Driver
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.physics.cable.drum import drums_of
+from carosac_toolkit.physics.rest import tension_distribution
+from carosac_toolkit.robot.robot import Robot
+
+T = TypeVar("T")
+PATH_STEPS = 200  # points of a path at which lengths and spare directions are computed
+FEEDBACK_PERIODS = 5  # in which tensions come back
+WAIT_PERIODS = 400  # after which a move whose tensions do not come back turns round
+SLOWED_SHARE = 0.25  # of the way from a tension used on purpose to its limit: slower from there on
+WAITING_SHARE = 0.5  # the same: waits from there on
+CREEP_SHARE = 0.1  # of the speed: at either end of a path, and on the way back
+PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension at full speed
+
+
+class Stopped(CarosacError):
+    """The driver does not go on."""
+
+
+class Mover(Protocol):
+    """Whatever takes the platform to a place and reads its sensors there."""
+
+    @property
+    def measures_tension(self) -> bool:
+        """True if tensions are measured, and kept on the way."""
+
+    def rest(self) -> Rest:
+        """Read the sensors of the platform at rest."""
+
+    def move(self, known: Knowledge, start: Array, end: Array) -> str:
+        """Go from one place to another by what is known [m]; return why it ended early."""
+
+    def while_holding(self, work: Callable[[], T]) -> T:
+        """Compute something while the robot stands still."""
+
+
+class DriverMover:
+    """Moves a robot by its driver."""
+
+    def __init__(
+        self, driver: Driver, robot: Robot, settings: GuideSettings, *, real_time: bool
+    ) -> None:
+        """Take a driver that is connected and lets commands through.
+
+        Args:
+            driver: Of one robot.
+            robot: As in its file.
+            settings: Speeds and times.
+            real_time: Whether the driver has to be called while the host computes.
+        """
+        self._driver, self._settings, self._real_time = driver, settings, real_time
+        self._low, self._high = operating_tensions(robot)
+        self._limits = robot.tension_min, robot.tension_max
+        self._measured = driver.measure()
+        self._command = np.array(self._measured.unstrained_length[0])
+
+    @property
+    def measures_tension(self) -> bool:
+        """True if the driver has load cells."""
+        return self._measured.tension is not None
+
+    def rest(self) -> Rest:
+        """Wait until the platform rests, and return the mean of what the sensors say."""
+        settings = self._settings
+        for _ in range(round(settings.settle_time / settings.period)):
+            self._cycle()
+        lengths, tensions = [], []
+        for _ in range(round(settings.sample_time / settings.period)):
+            self._cycle()
+            lengths.append(self._measured.unstrained_length[0])
+            if self._measured.tension is not None:
+                tensions.append(self._measured.tension.value[0])
+        return Rest(
+            length=np.mean(lengths, axis=0),
+            tension=np.mean(tensions, axis=0) if tensions else None,
+        )
+
+    def while_holding(self, work: Callable[[], T]) -> T:
+        """Compute while the winches hold; in real time the driver goes on meanwhile."""
+        if not self._real_time:
+            return work()
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            future = pool.submit(work)
+            while not future.done():
+                self._cycle()
+        return future.result()
+
+    def move(self, known: Knowledge, start: Array, end: Array) -> str:
+        """Move slowly on a straight line, as far as tensions allow.
+
+        Args:
+            known: Present knowledge of the robot.
+            start: Where the platform rests, by what is known [m], shape (3,).
+            end: Where it should go, or `start` to tighten cables only [m], shape (3,).
+
+        Returns:
+            Why the move ended early, or nothing.
+
+        Raises:
+            Stopped: The driver does not go on.
+        """
+        path = self.while_holding(lambda: self._path(known, start, end))
+        share, length, waited, back = 0.0, path.length[0], 0, False
+        while True:
+            change, away = self._correction(path, share)
+            if back and (share <= 0.0 or away < SLOWED_SHARE):
+                return "its tensions did not come back"
+            if not back and share >= 1.0 and away < SLOWED_SHARE:
+                return ""
+            room = (WAITING_SHARE - away) / (WAITING_SHARE - SLOWED_SHARE)
+            pace = CREEP_SHARE if back else float(np.clip(room, 0.0, 1.0))
+            waited = waited + 1 if pace == 0.0 or share >= 1.0 else 0
+            back = back or waited > WAIT_PERIODS
+            step = pace * path.speed(share) * self._settings.period / path.way if path.way else 1.0
+            share = float(np.clip(share - step if back else share + step, 0.0, 1.0))
+            following = path.at(share)
+            self._command = self._command + following - length + change
+            length = following
+            self._cycle()
+
+    def _correction(self, path: _Path, share: float) -> tuple[Array, float]:
+        """Return the change of the lengths that brings tensions back, and how far off they are.
+
+        The wanted tensions balance the same force as the measured ones, so that a wrong weight
+        does no harm.
+
+        Returns:
+            Change [m], shape (n,), and the largest departure from the tensions used on purpose, as
+            a share of the way to the limit.
+        """
+        if self._measured.tension is None:
+            return np.zeros(len(self._low)), 0.0
+        now = self._measured.tension.value[0]
+        matrix, spare, softness = path.point(share)
+        low, high = self._limits
+        away = float(
+            np.maximum(
+                (self._low - now) / (self._low - low), (now - self._high) / (high - self._high)
+            ).max()
+        )
+        wanted = _wanted(now, matrix, spare, self._low, self._high)
+        if wanted is None:  # no winding helps
+            return np.zeros(len(self._low)), max(away, WAITING_SHARE)
+        missing = spare.T @ (wanted - now) / FEEDBACK_PERIODS
+        return -spare @ ((spare.T * softness) @ spare) @ missing, away
+
+    def _cycle(self) -> None:
+        """Send the command, wait a period, and measure.
+
+        Raises:
+            Stopped: The driver does not go on.
+        """
+        driver = self._driver
+        command = Command(time=self._measured.time, unstrained_length=self._command[None])
+        driver.command(command)
+        if not driver.wait(self._settings.period):
+            fault, ending = (getattr(driver, name, None) for name in ("fault", "ending"))
+            why = ending or "the driver has stopped"
+            raise Stopped(why if fault is None else f"fault: {fault}")
+        self._measured = driver.measure()
+
+    def _path(self, known: Knowledge, start: Array, end: Array) -> _Path:
+        """Compute lengths and spare directions along a line, as they are known."""
+        share = np.linspace(0.0, 1.0, PATH_STEPS + 1)[:, None]
+        place = start + share * (end - start)
+        problem, robot = known.problem, known.problem.robot
+        matrix, _ = force_balance(problem, known.shared, place)
+        straight, _ = problem.straight(known.shared, place)
+        drums = drums_of(robot)
+        reference = drums.motor_angle(problem.prior.mean[problem.zeros])
+        settings, way = self._settings, float(np.linalg.norm(end - start))
+        speed = settings.speed
+        if way > 0.0:
+            rate = (
+                float(tension_error(known, start, end[None])[0]) / 3.0 / way
+            )  # 1 sigma, N per metre
+            room = PREDICTED_SHARE * float((self._low - self._limits[0]).min())
+            speed = min(speed, room / (rate * FEEDBACK_PERIODS * settings.period))
+        return _Path(
+            length=drums.length(expected_angles(known, place) + reference),
+            matrix=matrix,
+            spare=spare_directions(matrix[:, :3].swapaxes(1, 2)),
+            softness=(straight + robot.run_length) / robot.axial_stiffness,
+            way=way,
+            speed_max=max(speed, CREEP_SHARE * settings.speed),
+            acceleration=settings.acceleration,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    """Lengths by the drums of the robot file, structure and spare directions along a path."""
+
+    length: Array
+    matrix: Array
+    spare: Array
+    softness: Array
+    way: float
+    speed_max: float
+    acceleration: float
+
+    def at(self, share: float) -> Array:
+        """Return the lengths at a share of the way [m], shape (n,)."""
+        k = min(int(share * PATH_STEPS), PATH_STEPS - 1)
+        part = share * PATH_STEPS - k
+        return np.asarray((1.0 - part) * self.length[k] + part * self.length[k + 1])
+
+    def point(self, share: float) -> tuple[Array, Array, Array]:
+        """Return structure matrix (6, n), spare directions (n, n - 3), m per N of each cable."""
+        k = round(share * PATH_STEPS)
+        return self.matrix[k], self.spare[k], self.softness[k]
+
+    def speed(self, share: float) -> float:
+        """Return the speed from rest to rest [m/s]."""
+        left = min(share, 1.0 - share) * self.way
+        limit = np.sqrt(2.0 * self.acceleration * left)
+        return float(np.clip(limit, CREEP_SHARE * self.speed_max, self.speed_max))
+
+
+def _wanted(now: Array, matrix: Array, spare: Array, low: Array, high: Array) -> Array | None:
+    """Return the least tensions in a range that balance what others balance, or None [N], (n,)."""
+    if spare.shape[1] == 1:  # of every robot with one cable more than it needs: by far the quickest
+        along = spare[:, 0]
+        ends = np.sort(np.stack([low - now, high - now]) / np.where(along == 0.0, 1e-12, along), 0)
+        least, most = ends[0].max(), ends[1].min()
+        return None if least > most else now + along * np.clip(-along @ now, least, most)
+    force = np.zeros((1, 6))
+    force[:, :3] = -(matrix[:3] @ now)
+    found = tension_distribution.solve(matrix[None], force, low, high, arm=1.0)
+    return np.asarray(found.tension[0]) if found.feasible[0] else None

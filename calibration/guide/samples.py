@@ -1,0 +1,193 @@
+"""Samples of a guided calibration: one CSV that grows line by line and survives the process.
+
+It is a file of motor angles, as ``carosac calibrate lengths`` reads it. Every sample is on the disk
+before the robot moves on; a line that was cut by a crash is dropped. Comments hold what the angles
+follow from: the readings at the reference, and the readings and tensions of each sample.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.self_calibration.motor_angle_files import load_motor_angles
+from calibration.self_calibration.motor_angles import MotorAngles
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.physics.cable.drum import drums_of
+from carosac_toolkit.robot.robot import Robot
+
+HOME_SAMPLE = "home"
+CHECK_PREFIX = "check_"
+_REFERENCE, _SAMPLE = "# reference ", "# sample "
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rest:
+    """Readings of a platform at rest.
+
+    Attributes:
+        length: Unstrained lengths by the drums of the robot file [m], shape (n,).
+        tension: [N], shape (n,), or None where the driver measures none.
+    """
+
+    length: Array
+    tension: Array | None
+
+
+class SampleFile:
+    """The samples, in memory and on the disk.
+
+    Attributes:
+        path: The CSV.
+        names: One per sample.
+        motor_angles: Since the reference [rad], N of shape (n,).
+        tensions: [N], N of shape (n,); none where the driver measures none.
+        reference: Readings where all angles are 0 [m], shape (n,), or None before the first.
+    """
+
+    def __init__(self, path: Path, robot: Robot) -> None:
+        """Read what is there already.
+
+        Args:
+            path: The CSV; it need not exist.
+            robot: Robot description, n cables with drums.
+
+        Raises:
+            InvalidFile: Not the samples of a guided calibration of this robot.
+        """
+        self.path, self._robot, self._drums = path, robot, drums_of(robot)
+        self.names: list[str] = []
+        self.motor_angles: list[Array] = []
+        self.tensions: list[Array] = []
+        self.reference: Rest | None = None
+        if path.exists():
+            self._read()
+
+    def start(self, reference: Rest) -> None:
+        """Begin a file where all motor angles are 0.
+
+        Raises:
+            InvalidField: It cannot be written.
+        """
+        self.reference = reference
+        header = ["sample", *(f"motor_{name}_rad" for name in self._robot.cable_names)]
+        if reference.tension is not None:
+            header += [f"force_{name}_n" for name in self._robot.cable_names]
+        header += [f"known_{axis}_m" for axis in "xyz"]
+        note = json.dumps({"robot": self._robot.name, **_numbers(reference)})
+        try:
+            self._append(f"{_REFERENCE}{note}\n{','.join(header)}\n")
+            folder = os.open(self.path.absolute().parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+        except OSError as error:
+            allowed = f"a file that can be written: {error.strerror}"
+            raise InvalidField("SAMPLES", f"'{self.path}'", allowed) from error
+
+    def add(self, name: str, rest: Rest) -> None:
+        """Append a sample; it is on the disk when this returns."""
+        row = self.one(name, rest)
+        self.names.append(name)
+        self.motor_angles.append(row.motor_angle[0])
+        numbers = [*row.motor_angle[0]]
+        if row.tension is not None:
+            self.tensions.append(row.tension[0])
+            numbers += [*row.tension[0]]
+        cells = [name, *(repr(float(x)) for x in numbers)]
+        known = [repr(float(x)) for x in self._robot.home_position]
+        cells += known if name == HOME_SAMPLE else [""] * 3
+        note = json.dumps({"name": name, **_numbers(rest)})
+        self._append(f"{_SAMPLE}{note}\n{','.join(cells)}\n")
+
+    def one(self, name: str, rest: Rest) -> MotorAngles:
+        """Return one sample that is not in the file."""
+        assert self.reference is not None
+        turned = self._drums.motor_angle(rest.length) - self._drums.motor_angle(
+            self.reference.length
+        )
+        tensions = [] if rest.tension is None or self.reference.tension is None else [rest.tension]
+        return self._angles([name], [turned], [np.maximum(f, 0.0) for f in tensions])
+
+    def measured(self, *, checks: bool = False) -> MotorAngles:
+        """Return the samples of the fit, or those of the checks."""
+        rows = [k for k, name in enumerate(self.names) if name.startswith(CHECK_PREFIX) == checks]
+        return self._angles(
+            [self.names[k] for k in rows],
+            [self.motor_angles[k] for k in rows],
+            [self.tensions[k] for k in rows] if self.tensions else [],
+        )
+
+    def _angles(self, names: list[str], turned: list[Array], tension: list[Array]) -> MotorAngles:
+        """Return samples, of which home is known."""
+        known = np.array([name == HOME_SAMPLE for name in names], dtype=np.bool_)
+        return MotorAngles(
+            samples=tuple(names),
+            cables=self._robot.cable_names,
+            motor_angle=np.array(turned),
+            known_position=np.where(known[:, None], self._robot.home_position, 0.0),
+            is_known=known,
+            tension=np.array(tension) if tension else None,
+        )
+
+    def _append(self, text: str) -> None:
+        """Write at the end, all at once, and wait for the disk."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
+        file = os.open(self.path, flags, 0o644)
+        try:
+            left = text.encode()
+            while left:
+                left = left[os.write(file, left) :]
+            os.fsync(file)
+        finally:
+            os.close(file)
+
+    def _read(self) -> None:
+        """Take the samples of an earlier run; drop a line that was cut."""
+        text = self.path.read_text(encoding="utf-8")
+        whole = text[: text.rfind("\n") + 1]
+        lines = whole.splitlines()
+        if len(lines) < 2 and (not text or text.startswith(_REFERENCE)):  # cut before any sample
+            os.truncate(self.path, 0)
+            return
+        if not lines or not lines[0].startswith(_REFERENCE):
+            fault = "not the samples of a guided calibration; allowed: a new file, or one of its"
+            raise InvalidFile(self.path, [fault])
+        note = self._note(lines[0], _REFERENCE)
+        if note.get("robot") != self._robot.name:
+            fault = f"samples of robot {note.get('robot')!r}; allowed: {self._robot.name!r}"
+            raise InvalidFile(self.path, [fault])
+        self.reference = _rest(note)
+        if len(whole) < len(text):
+            os.truncate(self.path, len(whole.encode()))
+        if any(line and not line.startswith("#") for line in lines[2:]):
+            angles = load_motor_angles(self.path).in_order_of(self._robot.cable_names)
+            self.names, self.motor_angles = list(angles.samples), list(angles.motor_angle)
+            self.tensions = [] if angles.tension is None else list(angles.tension)
+
+    def _note(self, line: str, start: str) -> dict[str, Any]:
+        """Read the numbers in a comment."""
+        try:
+            return dict(json.loads(line.removeprefix(start)))
+        except ValueError as error:
+            raise InvalidFile(self.path, [f"{line[:60]!r}: not the comment it was"]) from error
+
+
+def _numbers(rest: Rest) -> dict[str, Any]:
+    """Return the numbers of a rest for a comment."""
+    tension = None if rest.tension is None else rest.tension.tolist()
+    return {"length_m": rest.length.tolist(), "tension_N": tension}
+
+
+def _rest(note: dict[str, Any]) -> Rest:
+    """Read the numbers of a rest."""
+    tension = note.get("tension_N")
+    return Rest(
+        length=np.array(note["length_m"], dtype=np.float64),
+        tension=None if tension is None else np.array(tension, dtype=np.float64),
+    )

@@ -1,0 +1,245 @@
+r"""The frame of a self-calibration, and what of it nothing that was measured tells.
+
+Moving exit points and positions alike changes no length. Known coordinates, and the reference at
+home, hold some of these six motions :math:`\xi` (three shifts, three turns about home); the others
+are free. They are held by convention: with x the exit points, :math:`x_0` and :math:`\Lambda` their
+prior and its information and G the motion of the exit points,
+
+.. math:: (G Z)^\top \Lambda (x - x_0) = 0,
+
+where the columns of Z are the free motions: the best fit of the exit points to those of the robot
+file. This is where the maximum a posteriori estimate is. Covariances are those in this frame,
+
+.. math:: \Sigma' = P \Sigma P^\top, \qquad P = I - G Z (C G Z)^{-1} C, \qquad
+          C = (G Z)^\top \Lambda,
+
+in which the free motions have no uncertainty (an S-transformation).
+
+References:
+    Baarda, *S-transformations and criterion matrices*, Netherlands Geodetic Commission, 1973.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.reference import Reference
+from calibration.self_calibration.solver import SampleFit, inverse
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+
+FREE_MOTION_SHARE = 0.05  # of the longest cable: a motion known less well than that is free
+HELD_SIGMA_SHARE = 1e-3  # of the longest cable: a free motion that is held is known that well
+SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
+AXIS_NAMED_MIN = 0.01  # smaller parts of an axis are not named
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """Motions of the whole set-up that nothing tells, and the convention that holds them.
+
+    Attributes:
+        reference: Sample that is taken to be at home, or None.
+        home: Platform origin at home [m], shape (3,).
+        lever: Length by which turns are multiplied to be motions in metres [m].
+        free: Free motions, shifts and turns about home times the lever, shape (6, f), orthonormal.
+        hold: Motion, along the free ones, by a change of the shared unknowns, shape (f, m).
+        move: Change of the shared unknowns by the free motions, shape (m, f).
+        heading: Cable whose exit point is on the x axis as seen from above, or None.
+    """
+
+    reference: Reference | None
+    home: Array
+    lever: float
+    free: Array
+    hold: Array
+    move: Array
+    heading: str | None
+
+    @property
+    def turns(self) -> Array:
+        """Free turns, as unit vectors of W, shape (3, t)."""
+        axes, size, _ = np.linalg.svd(self.free[3:], full_matrices=False)
+        return np.asarray(axes[:, size > AXIS_NAMED_MIN])
+
+    @property
+    def center(self) -> Array:
+        """A point in W that all free turns leave where it is [m], shape (3,)."""
+        shift, turn = self.free[:3].T, self.free[3:].T / self.lever
+        slope = np.concatenate([_moves(axis[None], 1.0)[0, :, 3:] for axis in turn])
+        # shift + turn x (center - home) = 0; the moves by omega x ray are those of ray by -omega
+        return np.asarray(self.home + np.linalg.lstsq(slope, shift.ravel(), rcond=None)[0])
+
+    def aligned(
+        self,
+        problem: MotorAngleProblem,
+        solution: SampleFit,
+        towards: Array,
+        *,
+        mirror: bool = False,
+    ) -> SampleFit:
+        """Move a solution along the free turns, by any amount, which changes no length.
+
+        Args:
+            problem: The samples.
+            solution: That is moved.
+            towards: Points that its exit points less anchor points are to fit best [m], (n, 3).
+            mirror: True for its mirror image, at a plane through the free axis, or through the
+                centre where all turns are free.
+
+        Returns:
+            The moved solution; the same where the free turns are neither one nor three.
+        """
+        turns = self.turns
+        if turns.shape[1] not in (1, 3) or problem.own == 6:
+            return solution
+        axis = turns if turns.shape[1] == 1 else np.zeros((3, 1))
+        plane = np.eye(3) - axis @ axis.T
+        points = problem.points(solution.shared) - self.center
+        spread = plane @ points.T @ (towards - self.center) @ plane
+        left, _, right = np.linalg.svd(spread + 1e3 * np.linalg.norm(spread) * axis @ axis.T)
+        side = np.linalg.det(left @ right) * (-1.0 if mirror else 1.0)
+        turn = left @ np.diag([1.0, 1.0, side]) @ right
+        shared = solution.shared.copy()
+        shared[problem.exits] = points @ turn + self.center + problem.offsets
+        position = (solution.position - self.center) @ turn + self.center
+        return replace(solution, shared=shared, position=position)
+
+    def covariance(self, information: Array) -> Array:
+        """Return the covariance of the shared unknowns in this frame, shape (m, m).
+
+        Args:
+            information: On the shared unknowns, prior included, shape (m, m).
+        """
+        project = np.eye(len(information)) - self.move @ self.hold
+        covariance = project @ inverse(self.held(information)) @ project.T
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+    def held(self, information: Array) -> Array:
+        """Return information on the shared unknowns (m, m) with the free motions held as well."""
+        weight = (HELD_SIGMA_SHARE * self.lever) ** -2
+        return np.asarray(information + weight * self.hold.T @ self.hold)
+
+    def position_slope(self, by_shared: Array, position: Array) -> Array:
+        """Return by how much positions change in this frame with the shared unknowns.
+
+        Args:
+            by_shared: The same before the motion back into the frame, shape (N, 3, m).
+            position: [m], shape (N, 3).
+        """
+        moves = _moves(position - self.home, self.lever) @ self.free
+        return np.asarray(by_shared - moves @ self.hold)
+
+    def sentences(self) -> list[str]:
+        """Return in words what holds the frame."""
+        lines = []
+        if self.reference is not None:
+            axes = "".join(np.array(["x", "y", "z"])[self.reference.axes])
+            where = "the origin" if axes == "xyz" else f"the origin of {' and '.join(axes)}"
+            lines.append(
+                f"{where} is by convention: sample {self.reference.sample}, the reference, is at "
+                "home"
+            )
+        if self.free.shape[1]:
+            by = "as the exit points of the robot file are turned, which fits them best"
+            if self.heading is not None:
+                rest = f", the rest {by}" if self.free.shape[1] > 1 else ""
+                by = f"x through exit point {self.heading}{rest}"
+            lines.append(
+                f"nothing that was measured tells {self._unknown()}: by convention {by}; sigmas "
+                "are those in this frame"
+            )
+        return lines
+
+    def _unknown(self) -> str:
+        """Name the free motions."""
+        turns = self.turns
+        count, others = turns.shape[1], self.free.shape[1] - turns.shape[1]
+        words = {0: "", 1: f"the turn about {_axis(turns)}", 2: "two turns", 3: "any turn"}[count]
+        shift = {0: "", 1: "a shift", 2: "two shifts", 3: "any shift"}[others]
+        return " and ".join(part for part in (words, shift) if part) + " of the whole set-up"
+
+    def data(self) -> dict[str, Any]:
+        """Return the convention, ready for JSON."""
+        reference = self.reference
+        return {
+            "origin_sample": None if reference is None else reference.sample,
+            "origin_axes": []
+            if reference is None
+            else np.array(["x", "y", "z"])[reference.axes].tolist(),
+            "free_turns": self.turns.T,
+            "free_motions": self.free.shape[1],
+            "x_through": self.heading,
+        }
+
+
+def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) -> Frame:
+    """Find the motions of the whole set-up that the data leave free.
+
+    Args:
+        problem: The samples.
+        shared: Values of the shared unknowns, shape (m,).
+        information: On them, of the data alone, positions unknown, shape (m, m).
+
+    Raises:
+        InvalidField: The x axis is to go through an exit point, but the data tell the heading.
+    """
+    lever, home = problem.longest, problem.robot.home_position
+    exits = problem.points(shared)
+    moves = np.zeros((problem.size, 6))
+    moves[problem.exits.ravel()] = _moves(exits - home, lever).reshape(-1, 6)
+    values, vectors = np.linalg.eigh(moves.T @ information @ moves / problem.robot.n)
+    free = vectors[:, values < (FREE_MOTION_SHARE * lever) ** -2]
+    heading = problem.settings.x_through
+    up = np.eye(6)[5]
+    if heading is not None:
+        if np.linalg.norm(free.T @ up) < SAME_MOTION:
+            allowed = "nothing, as what was measured tells the heading"
+            raise InvalidField("x_through", repr(heading), allowed)
+        rest = free - np.outer(up, free.T @ up)
+        axes, size, _ = np.linalg.svd(rest, full_matrices=False)
+        free = np.column_stack([up, axes[:, size > 0.5]])
+    move = moves @ free
+    hold = move.T @ problem.prior.information
+    if heading is not None:
+        ray = exits[problem.robot.cable_names.index(heading)] - home
+        hold[0] = 0.0
+        place = problem.exits[problem.robot.cable_names.index(heading)]
+        hold[0, place] = np.array([-ray[1], ray[0], 0.0]) / np.hypot(ray[0], ray[1])
+    return Frame(
+        reference=problem.reference,
+        home=home,
+        lever=lever,
+        free=free,
+        hold=np.linalg.solve(hold @ move, hold) if free.shape[1] else hold,
+        move=move,
+        heading=heading,
+    )
+
+
+def mean_distance(exits: Array) -> float:
+    """Return the root mean square distance of each exit point from the truth, averaged [m]."""
+    return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
+
+
+def _moves(ray: Array, lever: float) -> Array:
+    """Return the displacement of points by six motions, shape (N, 3, 6), from `ray` (N, 3)."""
+    x, y, z = ray.T
+    moves = np.zeros((len(ray), 3, 6))
+    moves[:, :, :3] = np.eye(3)
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])  # omega x ray by omega
+    moves[:, :, 3:] = cross.transpose(2, 0, 1) / lever
+    return moves
+
+
+def _axis(turns: Array) -> str:
+    """Name the axis of one turn."""
+    axis = turns[:, 0] * np.sign(turns[np.argmax(np.abs(turns[:, 0])), 0])
+    if axis[2] > SAME_MOTION:
+        return "the vertical"
+    return "the axis (" + ", ".join(f"{part:.2f}" for part in axis) + ")"

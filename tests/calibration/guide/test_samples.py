@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from calibration.guide.samples import Rest, SampleFile
+from calibration.self_calibration.motor_angle_files import holds_motor_angles, load_motor_angles
+from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.physics.cable.drum import drums_of
+
+ROBOT = ct.load_robot("hangprinter")
+LENGTH = np.array([1.6, 1.8, 1.59, 2.35])
+
+
+def rest(change=0.0, tension=None):
+    return Rest(length=LENGTH + change, tension=tension)
+
+
+@pytest.fixture
+def file(tmp_path):
+    made = SampleFile(tmp_path / "samples.csv", ROBOT)
+    made.start(rest())
+    made.add("home", rest(0.01))
+    made.add("1", rest([0.1, -0.1, 0.2, 0.0]))
+    made.add("check_1", rest(-0.05))
+    return made
+
+
+def test_another_process_reads_the_same(file):
+    again = SampleFile(file.path, ROBOT)
+    assert again.names == ["home", "1", "check_1"]
+    assert np.array(again.motor_angles) == pytest.approx(np.array(file.motor_angles), abs=0.0)
+    assert again.reference.length == pytest.approx(file.reference.length, abs=0.0)
+    angles = [one.one("x", rest(0.3)).motor_angle for one in (again, file)]
+    assert angles[0] == pytest.approx(angles[1], abs=0.0)
+    again.add("2", rest(0.2))
+    assert SampleFile(file.path, ROBOT).names[-1] == "2"
+
+
+def test_it_is_a_file_of_motor_angles_with_home_known(file):
+    assert holds_motor_angles(file.path)
+    angles = load_motor_angles(file.path)
+    assert angles.is_known.tolist() == [True, False, False]
+    turned = drums_of(ROBOT).motor_angle(LENGTH + 0.01) - drums_of(ROBOT).motor_angle(LENGTH)
+    assert angles.motor_angle[0] == pytest.approx(turned)
+    assert file.measured().samples == ("home", "1")
+    assert file.measured(checks=True).samples == ("check_1",)
+
+
+def test_a_line_that_was_cut_is_dropped_and_the_file_goes_on(file):
+    whole = file.path.read_bytes()
+    for cut in range(1, 120, 7):
+        file.path.write_bytes(whole[:-cut])
+        again = SampleFile(file.path, ROBOT)
+        assert again.names[:2] == ["home", "1"]
+        again.add("late", rest(0.1))
+        names = SampleFile(file.path, ROBOT).names
+        assert names == ["home", "1", "late"]
+
+
+def test_a_file_that_was_cut_before_any_sample_begins_anew(file):
+    text = file.path.read_text()
+    for cut in ("", text[:30], text[: text.index("sample,") + 5]):
+        file.path.write_text(cut)
+        again = SampleFile(file.path, ROBOT)
+        assert again.reference is None
+        again.start(rest())
+        again.add("home", rest(0.1))
+        assert SampleFile(file.path, ROBOT).names == ["home"]
+
+
+def test_tensions_are_kept_beside_the_angles(tmp_path):
+    pull = np.array([3.0, 4.0, 5.0, 20.0])
+    file = SampleFile(tmp_path / "samples.csv", ROBOT)
+    file.start(rest(tension=pull))
+    file.add("home", rest(tension=pull))
+    file.add("1", rest(0.1, tension=2.0 * pull))
+    for angles in (load_motor_angles(file.path), SampleFile(file.path, ROBOT).measured()):
+        assert angles.tension == pytest.approx(np.array([pull, 2.0 * pull]), abs=0.0)
+    assert file.one("2", rest(tension=-pull)).tension.max() == 0.0  # noise of a slack cable
+
+
+def test_other_files_are_refused(tmp_path, file):
+    other = tmp_path / "other.csv"
+    other.write_text("sample,motor_a_deg\n0,0\n")
+    with pytest.raises(InvalidFile, match="not the samples of a guided calibration"):
+        SampleFile(other, ROBOT)
+    other.write_text(file.path.read_text().replace('"robot": "hangprinter"', '"robot": "mine"'))
+    with pytest.raises(InvalidFile, match="samples of robot 'mine'; allowed: 'hangprinter'"):
+        SampleFile(other, ROBOT)
+    with pytest.raises(InvalidField, match=r"SAMPLES: .* a file that can be written"):
+        SampleFile(tmp_path / "none" / "samples.csv", ROBOT).start(rest())

@@ -1,0 +1,434 @@
+"""Calibration with no known position, or with some coordinates of positions only."""
+
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from calibration.observability import Unobservable
+from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
+from tests.calibration.self_calibration.scenes import EXITS, robots, scene
+from tests.calibration.self_calibration.test_calibrate import SILENT, exits
+from tests.robots import eight_cable_robot
+
+SPAN = float(np.linalg.norm(EXITS[0] - EXITS[1]))
+TAPE = Distance(first="a", second="b", length=SPAN, sigma=1e-5)
+SHARP = SelfCalibrationSettings(
+    line_sigma=1e-5, length_at_zero_sigma=0.5, drum_radius_sigma=5e-3,
+    distances=(TAPE,),
+)  # fmt: skip
+
+
+def loose(robot, sigma=0.5):
+    return replace(robot, exit_covariance=np.tile(sigma**2 * np.eye(3), (robot.n, 1, 1)))
+
+
+def turn_to(points, target):
+    """Points turned about the origin, and shifted by nothing, to fit others best."""
+    left, _, right = np.linalg.svd(points.T @ target)
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+
+
+def frame_error(result, truth):
+    """Exit points less the true ones, in the frame of the convention, shape (n, 3)."""
+    points = truth.exit_points - truth.anchor_points
+    before = result.before.exit_points - result.before.anchor_points
+    return exits(result) - truth.anchor_points - points @ turn_to(points, before)
+
+
+def frame_nees(result, truth):
+    """Squared error of the exit points in the frame of convention, without the three turns."""
+    k = truth.exit_points.size
+    value, axes = np.linalg.eigh(result.estimate.covariance[:k, :k])
+    along = axes.T @ frame_error(result, truth).ravel()
+    assert value[:3].max() < 1e-6 * value[3]  # the turns are out of the covariance
+    return float((along[3:] ** 2 / value[3:]).sum())
+
+
+def test_exact_angles_and_one_distance_give_the_exact_shape():
+    before, truth, place, angles = scene(1, 40, noise=SILENT, known=())
+    result = calibrate_motor_angles(angles, loose(before, 1.0), SHARP)
+    assert np.abs(frame_error(result, truth)).max() < 1e-3
+    points = np.vstack([truth.exit_points - truth.anchor_points, place])
+    found = np.vstack([exits(result) - truth.anchor_points, result.position])
+    assert found == pytest.approx(points @ turn_to(points, found), abs=1e-3)
+    assert result.position[0] == pytest.approx(before.home_position, abs=1e-3)
+    assert result.warnings == () and result.blunders == ()
+
+
+def test_a_turned_prior_turns_the_result_and_changes_nothing_else():
+    before, _, _, angles = scene(2, 40, known=())
+    turn = Rotation.from_rotvec([0.4, -0.3, 0.7]).as_matrix()
+    points = before.exit_points - before.anchor_points
+    other = replace(before, exit_points=points @ turn.T + before.anchor_points)
+    one, two = (calibrate_motor_angles(angles, robot) for robot in (before, other))
+    assert two.position == pytest.approx(one.position @ turn.T, abs=2e-4)
+    moved = (exits(one) - before.anchor_points) @ turn.T
+    assert exits(two) - before.anchor_points == pytest.approx(moved, abs=2e-4)
+    assert two.residual == pytest.approx(one.residual, abs=1e-5)
+
+
+def test_the_scale_is_that_of_the_measured_distance():
+    before, _, _, angles = scene(3, 40, noise=SILENT, known=())
+    results = [
+        calibrate_motor_angles(
+            angles, loose(before, 1.0),
+            replace(
+                SHARP, drum_radius_sigma=0.02,
+                distances=(replace(TAPE, length=scale * SPAN),),
+            ),
+        )
+        for scale in (1.0, 1.01)
+    ]  # fmt: skip
+    sizes = [np.linalg.norm(exits(one)[:, None] - exits(one), axis=2) for one in results]
+    off = ~np.eye(4, dtype=bool)
+    assert sizes[1][off] / sizes[0][off] == pytest.approx(1.01, abs=2e-4)
+
+
+def test_a_worse_source_of_the_scale_makes_a_worse_scale():
+    before, _, _, angles = scene(4, 40, known=())
+    sharp, blunt = (
+        calibrate_motor_angles(
+            angles, before, SelfCalibrationSettings(distances=(replace(TAPE, sigma=sigma),))
+        )
+        for sigma in (1e-3, 1.0)
+    )
+    assert sharp.scale.sigma < 0.4 * blunt.scale.sigma
+    assert list(sharp.scale.sources)[:2] == ["measured distances", "lengths at home"]
+    assert sharp.scale.sources["measured distances"] == pytest.approx(1e-3 / SPAN, rel=1e-3)
+    assert next(iter(blunt.scale.sources)) == "lengths at home"
+    assert any("measured distance" in line for line in sharp.sentences())
+
+
+def test_sigmas_without_known_positions_are_honest():
+    squares, places = [], []
+    runs = 6
+    for seed in range(200, 200 + runs):
+        before, truth, place, angles = scene(seed, 40, known=())
+        result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
+        if result.warnings:
+            assert "another solution fits almost as well" in result.warnings[0]
+            continue
+        squares.append(frame_nees(result, truth))
+        points = truth.exit_points - truth.anchor_points
+        there = place @ turn_to(points, before.exit_points - before.anchor_points)
+        error = (result.position - there)[1:] / result.position_sigma[1:]
+        places.append((error**2).mean())
+    assert len(squares) >= runs - 1
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+    assert 0.5 < np.mean(places) < 1.7
+
+
+def test_the_frame_of_convention_is_told():
+    before, _, _, angles = scene(5, 40, known=())
+    result = calibrate_motor_angles(angles, before)
+    words = " ".join(result.sentences())
+    assert "the origin is by convention: sample 0, the reference, is at home" in words
+    assert "nothing that was measured tells any turn of the whole set-up" in words
+    frame = result.data()["frame"]
+    assert frame["free_motions"] == 3 and frame["origin_sample"] == "0"
+    assert result.frame.turns.shape == (3, 3)
+
+
+def test_the_mirror_image_is_told_apart_by_the_exit_points_known_before():
+    before, _, _, angles = scene(6, 40, known=())
+    result = calibrate_motor_angles(angles, before)
+    (rival,) = [one for one in result.rivals if one.mirrored]
+    assert rival.cost > 30.0 and not rival.as_good
+    assert "the best other solution, its mirror image, is" in " ".join(result.sentences())
+    flip = np.array([-1.0, 1.0, 1.0])
+    mirrored = calibrate_motor_angles(
+        angles, replace(before, exit_points=flip * (before.exit_points - before.anchor_points)
+                        + before.anchor_points)
+    )  # fmt: skip
+    away = mirrored.position * flip - result.position
+    assert away == pytest.approx(0.0, abs=2e-3)
+
+
+def test_exit_points_close_to_a_plane_with_home_leave_the_mirror_image_to_the_workspace():
+    before, truth, _, _ = scene(7, 40, known=())
+    flat = np.array([[0.02, -1.59, 0.3], [1.29, 1.23, 0.2], [-1.42, 0.74, 0.3], [-1.2, -0.9, 0.2]])
+    truth = replace(truth, exit_points=flat + np.array([0.0, 0.0, 0.01]))
+    rng = np.random.default_rng(0)
+    place = rng.uniform([-0.8, -0.8, 0.2], [0.8, 0.8, 1.6], (60, 3))
+    place[0] = 0.0
+    angles = measure_motor_angles(truth, place, np.arange(0), MeasurementNoise(line=2e-4), rng)
+    span = float(np.linalg.norm(flat[0] - flat[1]))
+    sharp = SelfCalibrationSettings(line_sigma=2e-4, distances=(replace(TAPE, length=span),))
+    guess = loose(replace(before, exit_points=flat))
+    result = calibrate_motor_angles(angles, guess, sharp)
+    assert (result.position[1:, 2] > 0.0).all() and result.warnings == ()
+    below = replace(guess, workspace_min=np.array([-0.9, -0.9, -1.6]),
+                    workspace_max=np.array([0.9, 0.9, 0.0]))  # fmt: skip
+    assert (calibrate_motor_angles(angles, below, sharp).position[1:, 2] < 0.0).all()
+    both = replace(guess, workspace_min=np.array([-0.9, -0.9, -1.6]))
+    (warning,) = calibrate_motor_angles(angles, both, sharp).warnings
+    assert warning.startswith("the mirror image fits almost as well")
+
+
+def test_a_level_floor_gives_the_vertical_and_leaves_the_heading():
+    before, truth, place, angles = scene(8, 40, known=())
+    known = np.zeros((40, 3), dtype=bool)
+    known[:5, 2] = True
+    floor = np.zeros((40, 3))
+    floor[:5, 2] = place[:5, 2]
+    level = replace(angles, is_known=known.any(axis=1), known_axes=known, known_position=floor)
+    result = calibrate_motor_angles(level, before)
+    assert result.frame.free.shape[1] == 1
+    assert abs(result.frame.turns[2, 0]) == pytest.approx(1.0, abs=0.01)
+    assert exits(result)[:, 2] == pytest.approx(truth.exit_points[:, 2], abs=0.06)
+    assert np.abs(result.position[:, 2] - place[:, 2]).max() < 0.02
+    assert "the turn about the vertical" in " ".join(result.sentences())
+    assert all(np.isnan(one.error[:2]).all() for one in result.left_out)
+
+
+def test_the_x_axis_goes_through_the_named_exit_point():
+    before, _, _, angles = scene(9, 40, known=())
+    plain = calibrate_motor_angles(angles, before)
+    result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(x_through="b"))
+    exit_point = exits(result)[1] - before.home_position
+    assert exit_point[1] == pytest.approx(0.0, abs=1e-3) and exit_point[0] > 1.0
+    k = result.estimate.index("exit_points[b].y")
+    assert result.estimate.sigma[k] < 1e-3
+    assert result.residual == pytest.approx(plain.residual, abs=1e-4)
+    assert "x through exit point b" in " ".join(result.sentences())
+    with pytest.raises(InvalidField, match="x_through: got 'e'; allowed: one of"):
+        calibrate_motor_angles(angles, before, SelfCalibrationSettings(x_through="e"))
+    known = scene(9, 24)[3]
+    with pytest.raises(InvalidField, match="allowed: nothing, as what was measured tells the head"):
+        calibrate_motor_angles(known, before, SelfCalibrationSettings(x_through="b"))
+
+
+def test_one_known_position_leaves_turns_about_it_free():
+    before, _, place, angles = scene(10, 40, known=(3,))
+    result = calibrate_motor_angles(angles, before)
+    assert result.frame.reference is None and result.frame.free.shape[1] == 3
+    assert result.frame.center == pytest.approx(place[3], abs=5e-3)
+    assert result.position[3] == pytest.approx(angles.known_position[3], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda place: np.where([True, True, False], place, 0.0), "the samples lie in a plane"),
+        (lambda place: 0.02 * place, "are too few, or too close together"),
+        (lambda place: place[:8], "8 samples have 8 lengths to spare, fewer than the 13"),
+    ],
+)
+def test_flat_crowded_and_few_samples_are_refused_with_the_reason(change, message):
+    before, truth, place, _ = scene(11, 40, known=())
+    angles = measure_motor_angles(
+        truth, change(place), np.arange(0), MeasurementNoise(), np.random.default_rng(0)
+    )
+    settings = SelfCalibrationSettings(line_sigma=1e-3, length_at_zero_sigma=0.5)
+    with pytest.raises(Unobservable, match=message) as caught:
+        calibrate_motor_angles(angles, before, settings)
+    assert "exit_points[" in str(caught.value) and "Allowed: samples spread" in str(caught.value)
+    assert "samples near (" in str(caught.value)
+
+
+def test_three_cables_have_nothing_to_spare():
+    before, truth, place, _ = scene(12, 30, known=())
+    per_cable = (
+        "cable_names", "pulley_radius", "swivel_axis", "run_length", "anchor_points",
+        "linear_density", "axial_stiffness", "axial_damping", "cable_diameter", "tension_min",
+        "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min", "length_max",
+        "drum_radius", "drum_buildup", "drum_gear", "drum_advantage", "exit_points",
+        "exit_friction", "anchor_friction", "length_hysteresis",
+    )  # fmt: skip
+    before, truth = (
+        replace(robot, exit_covariance=None, **{n: getattr(robot, n)[:3] for n in per_cable})
+        for robot in (before, truth)
+    )
+    angles = measure_motor_angles(
+        truth, place, np.arange(0), MeasurementNoise(), np.random.default_rng(0)
+    )
+    with pytest.raises(Unobservable, match="three cables have no length to spare"):
+        calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
+
+
+def test_a_file_without_reference_is_refused():
+    before, truth, place, _ = scene(13, 30, known=())
+    angles = measure_motor_angles(
+        truth, place, np.arange(0), MeasurementNoise(), np.random.default_rng(0)
+    )
+    keep = np.arange(30) != 0
+    without = replace(
+        angles, samples=angles.samples[1:], motor_angle=angles.motor_angle[keep],
+        known_position=angles.known_position[keep], is_known=angles.is_known[keep],
+    )  # fmt: skip
+    with pytest.raises(Unobservable, match="none was taken at the reference, where all motor ang"):
+        calibrate_motor_angles(without, before)
+
+
+def test_blunders_are_named_without_known_positions():
+    before, truth, _, angles = scene(14, 44, known=(), blunders={(9, 0): 0.12, (17, 3): -0.25})
+    result = calibrate_motor_angles(angles, before)
+    assert {b.sample for b in result.blunders} == {"9", "17"}
+    assert np.linalg.norm(frame_error(result, truth), axis=1).max() < 0.06
+
+
+def test_a_wrong_distance_is_noticed():
+    before, _, _, angles = scene(15, 40, known=())
+    both = (
+        Distance(first="a", second="b", length=SPAN, sigma=1e-3),
+        Distance(first="a", second="b", length=SPAN + 0.02, sigma=1e-3),
+    )
+    result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(distances=both))
+    assert any("10.0 standard deviations: is it between" in line for line in result.warnings)
+
+
+def test_samples_that_are_named_help_more_than_samples_at_home():
+    before, truth, place, _ = scene(20, 40, known=())
+    flat = np.where([True, True, False], place, 0.02 * place)
+    rng = np.random.default_rng(0)
+    settings = SelfCalibrationSettings(line_sigma=1e-3, length_at_zero_sigma=0.5)
+    angles = measure_motor_angles(truth, flat, np.arange(0), MeasurementNoise(), rng)
+    with pytest.raises(Unobservable) as caught:
+        calibrate_motor_angles(angles, before, settings)
+    named = np.array([
+        [float(part) for part in words.split(",")]
+        for words in re.findall(r"\(([-\d., ]+)\)(?=,| m would)", str(caught.value))
+    ])[-3:]  # fmt: skip
+    assert named[:, 2].max() > 1.0  # off the plane
+    more = np.vstack([flat, named])
+    angles = measure_motor_angles(truth, more, np.arange(0), MeasurementNoise(), rng)
+    assert calibrate_motor_angles(angles, before, settings).estimate.sigma[:12].max() < 0.1
+
+
+def test_a_wanted_accuracy_that_is_not_reached_is_a_warning():
+    before, _, _, angles = scene(16, 40, known=())
+    result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(accuracy=1e-4))
+    (warning,) = result.warnings
+    assert "not to the 0.1 mm wanted: more samples are needed. Of the workspace, samp" in warning
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: replace(TAPE, second="a"), "distance: got a to a; allowed: two different points"),
+        (lambda: replace(TAPE, sigma=0.0), "sigma of the distance a to b: got 0 m"),
+        (lambda: replace(TAPE, length=-1.0), "length of the distance a to b: got -1 m"),
+    ],
+)
+def test_distances_that_mean_nothing_are_refused(make, message):
+    with pytest.raises(InvalidField, match=message):
+        make()
+
+
+def test_a_distance_to_nothing_is_refused():
+    _, _, _, angles = scene(17, 10, known=())
+    settings = SelfCalibrationSettings(distances=(replace(TAPE, second="z"),))
+    with pytest.raises(InvalidField, match=r"end of a distance: got 'z'; allowed: one of"):
+        calibrate_motor_angles(angles, robots()[0], settings)
+
+
+def test_a_hundred_samples_take_seconds():
+    before, _, _, angles = scene(18, 100, known=())
+    began = time.process_time()
+    calibrate_motor_angles(angles, before)
+    assert time.process_time() - began < 10.0
+
+
+def soft_scene(seed, *, stiffness=1.0, friction=0.0, count=50):
+    """Lines held by 5 to 60 N, as in torque mode, of a stiffness that is not what was thought."""
+    rng = np.random.default_rng(seed)
+    before, truth = robots(rng)
+    truth = replace(truth, axial_stiffness=stiffness * truth.axial_stiffness)
+    place = scene(seed, count)[2]
+    tension = rng.uniform(5.0, 60.0, (count, 4))
+    noise = MeasurementNoise(line=2e-4, friction=friction)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, tension=tension)
+    return before, truth, angles
+
+
+def test_measured_tensions_take_the_stretch_out():
+    before, truth, angles = soft_scene(1, stiffness=0.7)
+    tape = SelfCalibrationSettings(distances=(replace(TAPE, sigma=1e-4),))
+    result = calibrate_motor_angles(angles, before, tape)
+    blind = calibrate_motor_angles(replace(angles, tension=None), before, tape)
+    assert result.line_sigma < 0.5 * blind.line_sigma
+    rows = [result.estimate.index(f"axial_stiffness[{cable}]") for cable in "abcd"]
+    found = result.estimate.value[rows] / truth.axial_stiffness
+    assert found == pytest.approx(1.0, abs=0.1)
+    assert "stretch by the measured tensions" in " ".join(result.sentences())
+    wanted = replace(tape, accuracy=1e-5)
+    (warning,) = calibrate_motor_angles(angles, before, wanted).warnings
+    assert "samples near (" in warning
+    assert result.robot.axial_stiffness == pytest.approx(result.estimate.value[rows])
+
+
+def test_friction_in_the_tensions_is_noise_that_is_known():
+    squares = []
+    for seed in range(300, 304):
+        before, truth, angles = soft_scene(seed, friction=0.1)
+        result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=2e-4))
+        squares.append(frame_nees(result, truth))
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def rigid_scene(seed, count=60, line=1e-4):
+    """Eight cables to a box that turns by some 15 degrees per axis."""
+    rng = np.random.default_rng(seed)
+    robot = eight_cable_robot()
+    drums = {
+        "drum_radius": np.full(8, 0.08), "drum_buildup": np.full(8, 1e-5),
+        "drum_gear": np.full(8, 10.0), "drum_advantage": np.ones(8),
+    }  # fmt: skip
+    truth = replace(robot, **drums)
+    guess = robot.exit_points + rng.normal(0.0, 0.1, (8, 3))
+    before = loose(replace(truth, exit_points=guess), 0.1)
+    place = rng.uniform(robot.workspace_min, robot.workspace_max, (count, 3))
+    turns = rng.normal(0.0, 0.25, (count, 3))
+    place[0], turns[0] = robot.home_position, 0.0
+    rotation = from_rotation_vector(turns) @ robot.home_rotation
+    noise = MeasurementNoise(line=line)
+    angles = measure_motor_angles(truth, place, np.arange(0), noise, rng, rotation=rotation)
+    return before, truth, place, rotation, angles
+
+
+def test_eight_cables_tell_the_rotations_of_a_platform_too():
+    squares = []
+    for seed in range(3):
+        before, truth, place, rotation, angles = rigid_scene(seed)
+        span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
+        tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
+        settings = SelfCalibrationSettings(
+            line_sigma=1e-4, length_at_zero_sigma=0.1, distances=(tape,)
+        )
+        result = calibrate_motor_angles(angles, before, settings)
+        assert result.warnings == ()
+        error = result.estimate.value[:24] - truth.exit_points.ravel()
+        covariance = result.estimate.covariance[:24, :24]
+        squares.append(float(error @ np.linalg.solve(covariance, error)))
+        turned = np.linalg.norm(result.rotation - rotation, axis=(1, 2))
+        assert turned.max() < 0.03
+        assert np.abs((result.position - place)[1:] / result.position_sigma[1:]).max() < 5.0
+        assert result.frame.free.shape[1] == 0  # home fixes the turns as well
+    (warning,) = calibrate_motor_angles(angles, before, replace(settings, accuracy=1e-5)).warnings
+    assert "samples near (" in warning
+    low, high = chi2.ppf([0.005, 0.995], 24 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_a_platform_that_turns_is_refused_with_what_helps():
+    before, _, _, angles = scene(19, 40, known=())
+    apart = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    wide = replace(before, anchor_points=apart)
+    with pytest.raises(
+        Unobservable, match="4 cables have nothing to spare for its rotation"
+    ) as one:
+        calibrate_motor_angles(angles, wide)
+    assert "AHRS, swivel angles or load cells" in str(one.value)
+    held = SelfCalibrationSettings(keeps_rotation=True)
+    assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
