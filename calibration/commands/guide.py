@@ -31,8 +31,9 @@ from calibration.guide.verdict import Verdict, aligned_errors
 from calibration.report import print_sentences, write_new_robot
 from calibration.robot_update import check_output
 from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.command import prior_settings
 from calibration.self_calibration.problem import check_drums
-from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
@@ -137,22 +138,16 @@ def run(options: Options) -> CommandResult:
 
 def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
     """Return what is known before, distances included."""
-    distances = [
-        Distance(first=first, second=second, length=length, sigma=sigma)
-        for first, second, length, sigma in options.distance
-    ]
+    known = prior_settings(options)
+    distances = [*known.distances]
     for first, second in options.tape:
         assert session.true_robot is not None
         one = taped_distance(session.true_robot, first, second, options.seed)
         print(f"tape: --distance {first} {second} {one.length:.4f} {one.sigma:g}")
         distances.append(one)
-    return SelfCalibrationSettings(
-        length_at_zero_sigma=options.home_length_prior,
-        drum_radius_sigma=options.radius_prior,
-        keeps_rotation=options.keeps_rotation,
-        friction_share=0.0,  # load cells at the platform
-        distances=tuple(distances),
-    )
+    return replace(
+        known, friction_share=0.0, distances=tuple(distances)
+    )  # load cells at the platform
 
 
 def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -33,7 +34,27 @@ from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.file import load_robot
 
 
-class MotorAngleOptions(Protocol):
+class PriorOptions(Protocol):
+    """Options that say what was known before."""
+
+    @property
+    def distance(self) -> tuple[tuple[str, str, float, float], ...]:
+        """Measured distances: two ends, length and standard deviation [m]."""
+
+    @property
+    def keeps_rotation(self) -> bool:
+        """True if the platform keeps its rotation though its cables end apart."""
+
+    @property
+    def home_length_prior(self) -> float:
+        """Standard deviation of the lengths at home [m]."""
+
+    @property
+    def radius_prior(self) -> float:
+        """Standard deviation of the drums' radius [m]."""
+
+
+class MotorAngleOptions(PriorOptions, Protocol):
     """Options of the command that matter with motor angles."""
 
     @property
@@ -53,28 +74,12 @@ class MotorAngleOptions(Protocol):
         """Not used: nothing is random."""
 
     @property
-    def distance(self) -> tuple[tuple[str, str, float, float], ...]:
-        """Measured distances: two ends, length and standard deviation [m]."""
-
-    @property
     def x_through(self) -> str | None:
         """Cable whose exit point tells the x axis."""
 
     @property
     def accuracy(self) -> float | None:
         """Wanted standard deviation of the exit points [m]."""
-
-    @property
-    def keeps_rotation(self) -> bool:
-        """True if the platform keeps its rotation though its cables end apart."""
-
-    @property
-    def home_length_prior(self) -> float:
-        """Standard deviation of the lengths at home [m]."""
-
-    @property
-    def radius_prior(self) -> float:
-        """Standard deviation of the drums' radius [m]."""
 
 
 def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
@@ -94,7 +99,10 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(name)
     check_drums(robot)
-    result = calibrate_motor_angles(angles, robot, _settings(options))
+    settings = replace(
+        prior_settings(options), x_through=options.x_through, accuracy=options.accuracy
+    )
+    result = calibrate_motor_angles(angles, robot, settings)
     known = int(angles.is_known.sum())
     print(
         f"{path}: {len(angles.samples)} samples of {len(angles.cables)} motors, {known} known "
@@ -133,18 +141,16 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
     return CommandResult(result.data(), status=1 if result.warnings else 0)
 
 
-def _settings(options: MotorAngleOptions) -> SelfCalibrationSettings:
-    """Return the settings of the options."""
+def prior_settings(options: PriorOptions) -> SelfCalibrationSettings:
+    """Return settings of what was known before."""
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,
+        keeps_rotation=options.keeps_rotation,
         distances=tuple(
             Distance(first=first, second=second, length=length, sigma=sigma)
             for first, second, length, sigma in options.distance
         ),
-        x_through=options.x_through,
-        keeps_rotation=options.keeps_rotation,
-        accuracy=options.accuracy,
     )
 
 
