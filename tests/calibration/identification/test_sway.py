@@ -115,9 +115,10 @@ def test_a_start_in_motion_stretches_cables_and_remembers_another_speed(robot):
     longer, faster = sway.elongations(coordinates)
     position, rotation, twist, before = start(sway, robot, rest, np.zeros(n), coordinates)
     pose = position[None], rotation[None]
-    straight = straight_length(robot, *pose).length - straight_length(
-        robot, rest.position, rest.rotation
-    ).length
+    straight = (
+        straight_length(robot, *pose).length
+        - straight_length(robot, rest.position, rest.rotation).length
+    )
     assert straight[0] == pytest.approx(longer, abs=1e-9)
     jacobian = -structure_matrix(robot, *pose)[0].T
     assert jacobian @ twist == pytest.approx(faster, abs=1e-9)
