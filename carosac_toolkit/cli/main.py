@@ -105,7 +105,8 @@ def _run(name: str, words: list[str]) -> int:
     """Run one command with its own arguments."""
     if name not in _commands():
         spoken = [command.replace(".", " ") for command in _commands()]
-        hint = did_you_mean(name, spoken)
+        groups = [command for command in spoken if " " in command]
+        hint = did_you_mean(" ".join([name, *words[:1]]), groups) or did_you_mean(name, spoken)
         raise InvalidField("command", repr(name), f"{', '.join(spoken)}{hint}")
     from carosac_toolkit.base.files import write_json
     from carosac_toolkit.cli.arguments import parse_options

@@ -39,7 +39,7 @@ from carosac_toolkit.loop.plugins import load
         (["run", "--suite=lengths"], "--suite is now --sensors"),
         (["view", "carosac", "--live", "--suite", "lengths"], "--suite is now --sensors"),
         (["compare", "--suite", "lengths"], "sensors are chosen with --sensors"),
-        (["chek"], "command: got 'chek'; allowed: calibrate lengths, "),
+        (["chek"], "command: got 'chek'; allowed: calibrate guide, "),
         (["chek"], "did you mean 'check'?"),
         (["robot:s"], "command: got 'robot:s'"),
     ],

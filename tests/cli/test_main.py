@@ -68,7 +68,7 @@ def test_no_command_shows_the_help_and_is_bad_input(capsys):
         (["robots", "--json", "/no/such/folder/x.json"], "--json: got"),
         (["check", "carosac", "--picture", "/no/such/folder/x.png"], "--picture: got"),
         (["check", "carosac", "--picture", "x.gif"], "ending in .png"),
-        (["calibrate", "lenths"], "command after 'calibrate': got 'lenths'; allowed: lengths, "),
+        (["calibrate", "lenths"], "'calibrate': got 'lenths'; allowed: guide, lengths, "),
         (["calibrate", "lenths"], "did you mean 'lengths'"),
         (["calibrate", "--json", "x.json"], "command after 'calibrate': got '--json'"),
         (["calibrat", "lengths"], "did you mean 'calibrate lengths'"),
