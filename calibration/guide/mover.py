@@ -25,10 +25,11 @@ from calibration.self_calibration.safe_tensions import tension_error
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.protocols import Driver
-from carosac_toolkit.loop.values import Command
+from carosac_toolkit.loop.values import Command, Stamped
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.rest import tension_distribution
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.checks import STALE_TIME_S
 
 T = TypeVar("T")
 PATH_STEPS = 200  # points of a path at which lengths and spare directions are computed
@@ -38,6 +39,7 @@ SLOWED_SHARE = 0.25  # of the way from a tension used on purpose to its limit: s
 WAITING_SHARE = 0.5  # the same: waits from there on
 CREEP_SHARE = 0.1  # of the speed: at either end of a path, and on the way back
 PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension at full speed
+WOUND_RATIO = 2.0  # of the winding that turns a move back: winding that stops the guide
 
 
 class Stopped(CarosacError):
@@ -76,10 +78,12 @@ class DriverMover:
             real_time: Whether the driver has to be called while the host computes.
         """
         self._driver, self._settings, self._real_time = driver, settings, real_time
+        self._robot = robot
         self._low, self._high = operating_tensions(robot)
         self._limits = robot.tension_min, robot.tension_max
         self._measured = driver.measure()
         self._command = np.array(self._measured.unstrained_length[0])
+        self._silent = 0  # periods without new tensions
 
     @property
     def measures_tension(self) -> bool:
@@ -124,12 +128,15 @@ class DriverMover:
             Why the move ended early, or nothing.
 
         Raises:
-            Stopped: The driver does not go on.
+            Stopped: The driver does not go on, or load cells do not show what is wound.
         """
         path = self.while_holding(lambda: self._path(known, start, end))
         share, length, waited, back = 0.0, path.length[0], 0, False
+        winding = _Winding(self._robot, self._low - self._limits[0])
         while True:
-            change, away = self._correction(path, share)
+            pull, away = self._correction(path, share)
+            change = path.wound(share, pull)
+            back = winding.is_too_much(pull, self._tension(), path.tension_error(share)) or back
             if back and (share <= 0.0 or away < SLOWED_SHARE):
                 return "its tensions did not come back"
             if not back and share >= 1.0 and away < SLOWED_SHARE:
@@ -146,19 +153,19 @@ class DriverMover:
             self._cycle()
 
     def _correction(self, path: _Path, share: float) -> tuple[Array, float]:
-        """Return the change of the lengths that brings tensions back, and how far off they are.
+        """Return the change of tensions to be wound, and how far off they are.
 
         The wanted tensions balance the same force as the measured ones, so that a wrong weight
         does no harm.
 
         Returns:
-            Change [m], shape (n,), and the largest departure from the tensions used on purpose, as
-            a share of the way to the limit.
+            Change [N], shape (n,), in the spare directions, and the largest departure from the
+            tensions used on purpose, as a share of the way to the limit.
         """
-        if self._measured.tension is None:
+        now = self._tension()
+        if now is None:
             return np.zeros(len(self._low)), 0.0
-        now = self._measured.tension.value[0]
-        matrix, spare, softness = path.point(share)
+        matrix, spare, _ = path.point(share)
         low, high = self._limits
         away = float(
             np.maximum(
@@ -168,14 +175,17 @@ class DriverMover:
         wanted = _wanted(now, matrix, spare, self._low, self._high)
         if wanted is None:  # no winding helps
             return np.zeros(len(self._low)), max(away, WAITING_SHARE)
-        missing = spare.T @ (wanted - now) / FEEDBACK_PERIODS
-        return -spare @ ((spare.T * softness) @ spare) @ missing, away
+        return spare @ (spare.T @ (wanted - now)) / FEEDBACK_PERIODS, away
+
+    def _tension(self) -> Array | None:
+        """Return the newest tensions [N], shape (n,), or None."""
+        return None if self._measured.tension is None else self._measured.tension.value[0]
 
     def _cycle(self) -> None:
         """Send the command, wait a period, and measure.
 
         Raises:
-            Stopped: The driver does not go on.
+            Stopped: The driver does not go on, or its load cells do not.
         """
         driver = self._driver
         command = Command(time=self._measured.time, unstrained_length=self._command[None])
@@ -184,7 +194,21 @@ class DriverMover:
             fault, ending = (getattr(driver, name, None) for name in ("fault", "ending"))
             why = ending or "the driver has stopped"
             raise Stopped(why if fault is None else f"fault: {fault}")
-        self._measured = driver.measure()
+        before, self._measured = self._measured.tension, driver.measure()
+        self._check_tension(before)
+
+    def _check_tension(self, before: Stamped | None) -> None:
+        """Require new tensions."""
+        now = self._measured.tension
+        if before is None or now is None:
+            return
+        self._silent = 0 if now.time[0] > before.time[0] else self._silent + 1
+        silent = self._silent * self._settings.period
+        if self._silent > 1 and silent > STALE_TIME_S:
+            raise Stopped(
+                f"no new tensions for {silent:.2f} s; allowed: {STALE_TIME_S:g} s. Look at the "
+                "load cells"
+            )
 
     def _path(self, known: Knowledge, start: Array, end: Array) -> _Path:
         """Compute lengths and spare directions along a line, as they are known."""
@@ -197,10 +221,9 @@ class DriverMover:
         reference = drums.motor_angle(problem.prior.mean[problem.zeros])
         settings, way = self._settings, float(np.linalg.norm(end - start))
         speed = settings.speed
+        error = tension_error(known, start, place)
         if way > 0.0:
-            rate = (
-                float(tension_error(known, start, end[None])[0]) / 3.0 / way
-            )  # 1 sigma, N per metre
+            rate = float(error[-1]) / 3.0 / way  # 1 sigma, N per metre
             room = PREDICTED_SHARE * float((self._low - self._limits[0]).min())
             speed = min(speed, room / (rate * FEEDBACK_PERIODS * settings.period))
         return _Path(
@@ -208,6 +231,7 @@ class DriverMover:
             matrix=matrix,
             spare=spare_directions(matrix[:, :3].swapaxes(1, 2)),
             softness=(straight + robot.run_length) / robot.axial_stiffness,
+            error=error,
             way=way,
             speed_max=max(speed, CREEP_SHARE * settings.speed),
             acceleration=settings.acceleration,
@@ -222,6 +246,7 @@ class _Path:
     matrix: Array
     spare: Array
     softness: Array
+    error: Array
     way: float
     speed_max: float
     acceleration: float
@@ -237,11 +262,64 @@ class _Path:
         k = round(share * PATH_STEPS)
         return self.matrix[k], self.spare[k], self.softness[k]
 
+    def wound(self, share: float, pull: Array) -> Array:
+        """Return the change of lengths [m] that changes tensions in the spare directions [N]."""
+        _, spare, softness = self.point(share)
+        return np.asarray(-spare @ ((spare.T * softness) @ spare) @ (spare.T @ pull))
+
+    def tension_error(self, share: float) -> float:
+        """Return three standard deviations of tensions by lengths alone, since the start [N]."""
+        return float(self.error[round(share * PATH_STEPS)])
+
     def speed(self, share: float) -> float:
         """Return the speed from rest to rest [m/s]."""
         left = min(share, 1.0 - share) * self.way
         limit = np.sqrt(2.0 * self.acceleration * left)
         return float(np.clip(limit, CREEP_SHARE * self.speed_max, self.speed_max))
+
+
+class _Winding:
+    """What a move has wound to keep tensions, as the change that it should have made to them."""
+
+    def __init__(self, robot: Robot, margin: Array) -> None:
+        """Begin a move; `margin`: winding that a load cell must notice [N], shape (n,)."""
+        self._robot, self._margin = robot, margin
+        self._total, self._unseen = np.zeros(robot.n), np.zeros(robot.n)
+        self._shown: Array | None = None
+        self._allowed = 0.0
+
+    def is_too_much(self, pull: Array, tension: Array | None, error: float) -> bool:
+        """Return whether wrong lengths no longer explain what was wound.
+
+        Args:
+            pull: Winding of this period [N], shape (n,).
+            tension: Measured [N], shape (n,), or None.
+            error: Largest change of a tension by lengths alone, as predicted [N].
+
+        Raises:
+            Stopped: A load cell does not notice the winding, or it is far too much.
+        """
+        if tension is None:
+            return False
+        same = self._shown is not None and tension == self._shown
+        self._unseen, self._shown = np.where(same, self._unseen + pull, 0.0), tension
+        stuck = np.flatnonzero(np.abs(self._unseen) > self._margin)
+        if len(stuck):
+            k = int(stuck[0])
+            raise Stopped(
+                f"the load cell of cable {self._robot.cable_names[k]} shows {tension[k]:.4g} N "
+                f"all the time, though the cable was wound by {abs(self._unseen[k]):.3g} N: it "
+                "is stuck"
+            )
+        self._total = self._total + pull
+        self._allowed = max(self._allowed, error + self._robot.weight)
+        wound = float(np.abs(self._total).max())
+        if wound > WOUND_RATIO * self._allowed:
+            raise Stopped(
+                f"cables were wound by {wound:.3g} N to keep their tensions, where "
+                f"{self._allowed:.3g} N were expected: look at load cells and cables"
+            )
+        return wound > self._allowed
 
 
 def _wanted(now: Array, matrix: Array, spare: Array, low: Array, high: Array) -> Array | None:
