@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,20 +129,34 @@ def real(
         into.setdefault(field, value)
     x, y, z = (float(v) for v in robot.home_position)
     asked = run_options.Options(
-        robot=name, driver=driver, enable=not by_hand, home=(x, y, z), speed=settings.speed,
-        sensors="lengths" if by_hand else SUITE, reset=reset and not by_hand,
+        robot=name, driver=driver, enable=not by_hand,
+        home=None if by_hand else (x, y, z),  # by hand it may be anywhere, and nothing is homed
+        speed=settings.speed, sensors=SUITE, reset=reset and not by_hand,
     )  # fmt: skip
-    guard = make_guard(robot, asked, chosen, settings.period)
     with without_ads_lines():
         if by_hand:
-            guard.connect()
-            with contextlib.closing(guard):
+            with contextlib.closing(_connected(robot, asked, chosen, settings)) as guard:
                 ask = _asking(robot)
                 yield Session(mover=HandMover(ask, reader(guard, settings)))
             return
+        guard = make_guard(robot, asked, chosen, settings.period)
         with _enabled(guard, robot) as ending:
             mover = DriverMover(guard, robot, settings, real_time=guard.real_time)
             yield Session(mover=mover, ending=ending)
+
+
+def _connected(
+    robot: Robot, asked: run_options.Options, chosen: dict[str, Any], settings: GuideSettings
+) -> GuardedDriver:
+    """Connect to read only: with tensions where the driver has them, else lengths alone."""
+    try:
+        guard = make_guard(robot, asked, deepcopy(chosen), settings.period)
+        guard.connect()
+    except InvalidField as error:
+        if not error.field.endswith("suite") or asked.sensors == "lengths":
+            raise
+        return _connected(robot, replace(asked, sensors="lengths"), chosen, settings)
+    return guard
 
 
 @contextlib.contextmanager
