@@ -22,7 +22,7 @@ import tyro
 
 from calibration.guide import progress as shown
 from calibration.guide.guide import Guide
-from calibration.guide.mover import Stopped
+from calibration.guide.rest import Stopped
 from calibration.guide.samples import SampleFile
 from calibration.guide.session import SIMULATED, Session, real, simulated
 from calibration.guide.settings import GuideSettings

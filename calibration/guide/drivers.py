@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import MisjudgedPlant
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
@@ -77,23 +75,3 @@ def enable_where_it_is(guard: GuardedDriver, robot: Robot) -> None:
         )
     )
     guard.enable()
-
-
-def reader(driver: Driver, settings: GuideSettings) -> Callable[[], Rest]:
-    """Return how to read the sensors of a platform that somebody holds at rest."""
-
-    def read() -> Rest:
-        lengths, tensions = [], []
-        for _ in range(round((settings.settle_time + settings.sample_time) / settings.period)):
-            driver.wait(settings.period)
-            measured = driver.measure()
-            lengths.append(measured.unstrained_length[0])
-            if measured.tension is not None:
-                tensions.append(measured.tension.value[0])
-        kept = slice(round(settings.settle_time / settings.period), None)
-        return Rest(
-            length=np.mean(lengths[kept], axis=0),
-            tension=np.mean(tensions[kept], axis=0) if tensions else None,
-        )
-
-    return read

@@ -17,19 +17,17 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from calibration.guide.rest import Periods, Stopped
 from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.self_calibration.balance import force_balance, operating_tensions
 from calibration.self_calibration.knowledge import Knowledge, expected_angles, spare_directions
 from calibration.self_calibration.safe_tensions import tension_error
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.protocols import Driver
-from carosac_toolkit.loop.values import Command, Stamped
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.rest import tension_distribution
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.checks import STALE_TIME_S
 
 T = TypeVar("T")
 PATH_STEPS = 200  # points of a path at which lengths and spare directions are computed
@@ -40,10 +38,6 @@ WAITING_SHARE = 0.5  # the same: waits from there on
 CREEP_SHARE = 0.1  # of the speed: at either end of a path, and on the way back
 PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension at full speed
 WOUND_RATIO = 2.0  # of the winding that turns a move back: winding that stops the guide
-
-
-class Stopped(CarosacError):
-    """The driver does not go on."""
 
 
 class Mover(Protocol):
@@ -77,34 +71,21 @@ class DriverMover:
             settings: Speeds and times.
             real_time: Whether the driver has to be called while the host computes.
         """
-        self._driver, self._settings, self._real_time = driver, settings, real_time
+        self._settings, self._real_time = settings, real_time
         self._robot = robot
         self._low, self._high = operating_tensions(robot)
         self._limits = robot.tension_min, robot.tension_max
-        self._measured = driver.measure()
-        self._command = np.array(self._measured.unstrained_length[0])
-        self._silent = 0  # periods without new tensions
+        self._periods = Periods(driver, settings)
+        self._command = np.array(self._periods.measured.unstrained_length[0])
 
     @property
     def measures_tension(self) -> bool:
         """True if the driver has load cells."""
-        return self._measured.tension is not None
+        return self._periods.measures_tension
 
     def rest(self) -> Rest:
         """Wait until the platform rests, and return the mean of what the sensors say."""
-        settings = self._settings
-        for _ in range(round(settings.settle_time / settings.period)):
-            self._cycle()
-        lengths, tensions = [], []
-        for _ in range(round(settings.sample_time / settings.period)):
-            self._cycle()
-            lengths.append(self._measured.unstrained_length[0])
-            if self._measured.tension is not None:
-                tensions.append(self._measured.tension.value[0])
-        return Rest(
-            length=np.mean(lengths, axis=0),
-            tension=np.mean(tensions, axis=0) if tensions else None,
-        )
+        return self._periods.rest(self._command)
 
     def while_holding(self, work: Callable[[], T]) -> T:
         """Compute while the winches hold; in real time the driver goes on meanwhile."""
@@ -113,7 +94,7 @@ class DriverMover:
         with ThreadPoolExecutor(max_workers=1) as pool:
             future = pool.submit(work)
             while not future.done():
-                self._cycle()
+                self._periods.one(self._command)
         return future.result()
 
     def move(self, known: Knowledge, start: Array, end: Array) -> str:
@@ -136,7 +117,8 @@ class DriverMover:
         while True:
             pull, away = self._correction(path, share)
             change = path.wound(share, pull)
-            back = winding.is_too_much(pull, self._tension(), path.tension_error(share)) or back
+            error = path.tension_error(share)
+            back = winding.is_too_much(pull, self._periods.tension, error) or back
             if back and (share <= 0.0 or away < SLOWED_SHARE):
                 return "its tensions did not come back"
             if not back and share >= 1.0 and away < SLOWED_SHARE:
@@ -150,7 +132,7 @@ class DriverMover:
             following = path.at(share)
             self._command = self._command + following - length + change
             length = following
-            self._cycle()
+            self._periods.one(self._command)
 
     def _correction(self, path: _Path, share: float) -> tuple[Array, float]:
         """Return the change of tensions to be wound, and how far off they are.
@@ -162,7 +144,7 @@ class DriverMover:
             Change [N], shape (n,), in the spare directions, and the largest departure from the
             tensions used on purpose, as a share of the way to the limit.
         """
-        now = self._tension()
+        now = self._periods.tension
         if now is None:
             return np.zeros(len(self._low)), 0.0
         matrix, spare, _ = path.point(share)
@@ -176,39 +158,6 @@ class DriverMover:
         if wanted is None:  # no winding helps
             return np.zeros(len(self._low)), max(away, WAITING_SHARE)
         return spare @ (spare.T @ (wanted - now)) / FEEDBACK_PERIODS, away
-
-    def _tension(self) -> Array | None:
-        """Return the newest tensions [N], shape (n,), or None."""
-        return None if self._measured.tension is None else self._measured.tension.value[0]
-
-    def _cycle(self) -> None:
-        """Send the command, wait a period, and measure.
-
-        Raises:
-            Stopped: The driver does not go on, or its load cells do not.
-        """
-        driver = self._driver
-        command = Command(time=self._measured.time, unstrained_length=self._command[None])
-        driver.command(command)
-        if not driver.wait(self._settings.period):
-            fault, ending = (getattr(driver, name, None) for name in ("fault", "ending"))
-            why = ending or "the driver has stopped"
-            raise Stopped(why if fault is None else f"fault: {fault}")
-        before, self._measured = self._measured.tension, driver.measure()
-        self._check_tension(before)
-
-    def _check_tension(self, before: Stamped | None) -> None:
-        """Require new tensions."""
-        now = self._measured.tension
-        if before is None or now is None:
-            return
-        self._silent = 0 if now.time[0] > before.time[0] else self._silent + 1
-        silent = self._silent * self._settings.period
-        if self._silent > 1 and silent > STALE_TIME_S:
-            raise Stopped(
-                f"no new tensions for {silent:.2f} s; allowed: {STALE_TIME_S:g} s. Look at the "
-                "load cells"
-            )
 
     def _path(self, known: Knowledge, start: Array, end: Array) -> _Path:
         """Compute lengths and spare directions along a line, as they are known."""

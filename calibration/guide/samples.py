@@ -18,7 +18,7 @@ import numpy as np
 from calibration.self_calibration.motor_angle_files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.robot.robot import Robot
 
@@ -106,12 +106,24 @@ class SampleFile:
         self._append(f"{_SAMPLE}{note}\n{','.join(cells)}\n")
 
     def one(self, name: str, rest: Rest) -> MotorAngles:
-        """Return one sample that is not in the file."""
+        """Return one sample that is not in the file.
+
+        Raises:
+            CarosacError: With tensions where the file has none, or without.
+        """
         assert self.reference is not None
+        if (rest.tension is None) != (self.reference.tension is None):
+            held, given = (
+                ("no tensions", "some") if rest.tension is not None else ("tensions", "none")
+            )
+            raise CarosacError(
+                f"{self.path}: its samples hold {held}, and the driver now gives {given}; allowed: "
+                "the sensors of its first run, or a new file"
+            )
         turned = self._drums.motor_angle(rest.length) - self._drums.motor_angle(
             self.reference.length
         )
-        tensions = [] if rest.tension is None or self.reference.tension is None else [rest.tension]
+        tensions = [] if rest.tension is None else [rest.tension]
         return self._angles([name], [turned], [np.maximum(f, 0.0) for f in tensions])
 
     def measured(self, *, checks: bool = False) -> MotorAngles:

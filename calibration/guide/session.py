@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -15,12 +16,12 @@ from calibration.guide.drivers import (
     enable_where_it_is,
     guard_limits,
     guarded,
-    reader,
     simulated_driver,
 )
 from calibration.guide.hand import HandMover
 from calibration.guide.mover import DriverMover, Mover
 from calibration.guide.progress import request
+from calibration.guide.rest import Periods
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import SimulatedHand, draw_true_robot
 from carosac_toolkit.base.arrays import Array
@@ -136,8 +137,9 @@ def real(
     with without_ads_lines():
         if by_hand:
             with contextlib.closing(_connected(robot, asked, chosen, settings)) as guard:
-                ask = _asking(robot)
-                yield Session(mover=HandMover(ask, reader(guard, settings)))
+                periods = Periods(guard, settings)
+                read = functools.partial(periods.rest, None)
+                yield Session(mover=HandMover(_asking(robot), read, _ask_again))
             return
         guard = make_guard(robot, asked, chosen, settings.period)
         with _enabled(guard, robot) as ending:
@@ -178,8 +180,18 @@ def _asking(robot: Robot) -> Callable[[Array, Array], None]:
 
 def _prompt(robot: Robot, start: Array, end: Array) -> None:
     """Say where to put the platform, and wait for Enter."""
+    _wait_for_enter(request(end, robot.home_position, start))
+
+
+def _ask_again(why: str) -> None:
+    """Say why a sample is no use, and wait for Enter."""
+    _wait_for_enter(f"{why}; hold it still, then Enter to read again ")
+
+
+def _wait_for_enter(text: str) -> None:
+    """Print a text, and wait for Enter."""
     try:
-        input(request(end, robot.home_position, start))
+        input(text)
     except EOFError as error:
         allowed = "Enter for each position"
         raise InvalidField("--by-hand", "the end of the input", allowed) from error

@@ -8,7 +8,8 @@ import pytest
 import carosac_toolkit as ct
 from calibration.guide.drivers import enable_where_it_is, guarded, simulated_driver
 from calibration.guide.guide import Guide
-from calibration.guide.mover import WOUND_RATIO, DriverMover, Stopped, _Winding
+from calibration.guide.mover import WOUND_RATIO, DriverMover, _Winding
+from calibration.guide.rest import Stopped
 from calibration.guide.samples import SampleFile
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.suggested_positions import NoSafePosition
@@ -82,7 +83,7 @@ def test_a_driver_that_stops_ends_the_move(tmp_path):
     guide.resume()
     mover = guide._mover
     assert isinstance(mover, DriverMover)
-    mover._driver.end("the operator has had enough")
+    mover._periods._driver.end("the operator has had enough")
     with pytest.raises(Stopped, match="the operator has had enough"):
         mover.rest()
 

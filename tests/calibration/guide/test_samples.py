@@ -6,7 +6,7 @@ import pytest
 import carosac_toolkit as ct
 from calibration.guide.samples import Rest, SampleFile
 from calibration.self_calibration.motor_angle_files import holds_motor_angles, load_motor_angles
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.physics.cable.drum import drums_of
 
 ROBOT = ct.load_robot("hangprinter")
@@ -91,3 +91,14 @@ def test_other_files_are_refused(tmp_path, file):
         SampleFile(other, ROBOT)
     with pytest.raises(InvalidField, match=r"SAMPLES: .* a file that can be written"):
         SampleFile(tmp_path / "none" / "samples.csv", ROBOT).start(rest())
+
+
+def test_samples_with_tensions_and_without_are_not_mixed(tmp_path):
+    pull = np.array([3.0, 4.0, 5.0, 20.0])
+    for first, second, held in ((pull, None, "hold tensions"), (None, pull, "hold no tensions")):
+        file = SampleFile(tmp_path / f"{held}.csv", ROBOT)
+        file.start(rest(tension=first))
+        file.add("home", rest(tension=first))
+        with pytest.raises(CarosacError, match=held):
+            file.add("1", rest(tension=second))
+        assert SampleFile(file.path, ROBOT).names == ["home"]
