@@ -83,6 +83,25 @@ class SampleFile:
         if path.exists():
             self._read()
 
+    @classmethod
+    @contextlib.contextmanager
+    def held(cls, path: Path, robot: Robot) -> Iterator[SampleFile]:
+        """Read what is there already, and keep other processes from the file meanwhile.
+
+        Raises:
+            InvalidField: It cannot be written, or another process uses it.
+            InvalidFile: Not the samples of a guided calibration of this robot.
+        """
+        with _writable(path):
+            file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
+        try:
+            _lock(file, path)
+            yield cls(path, robot)
+            if not os.fstat(file).st_size:  # not begun
+                path.unlink(missing_ok=True)
+        finally:
+            os.close(file)
+
     def start(self, reference: Rest) -> None:
         """Begin a file where all motor angles are 0.
 
@@ -215,6 +234,19 @@ class SampleFile:
             return dict(json.loads(line.removeprefix(start)))
         except ValueError as error:
             raise InvalidFile(self.path, [f"line 1: {line[:60]!r}; {_UNEDITED}"]) from error
+
+
+def _lock(file: int, path: Path) -> None:
+    """Lock a file, until it is closed or the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        allowed = "a file that no other process collects samples in"
+        raise InvalidField("SAMPLES", f"'{path}'", allowed) from error
 
 
 @contextlib.contextmanager
