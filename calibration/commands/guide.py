@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 
 from calibration.guide import progress as shown
+from calibration.guide.drivers import check_speed
 from calibration.guide.fit import exit_distances
 from calibration.guide.guide import Guide
 from calibration.guide.rest import Stopped
@@ -107,6 +108,7 @@ def run(options: Options) -> CommandResult:
     check_drums(robot)
     _check_platform(options, robot)
     _check_options(options)
+    check_speed(settings.speed, robot)
     check_output("--output", options.output, options.robot)
     with SampleFile.held(Path(options.samples), robot) as samples:
         return _run(options, robot, samples, settings)

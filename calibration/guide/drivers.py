@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import MisjudgedPlant
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.loop.protocols import Driver
@@ -32,6 +33,21 @@ def guard_limits(robot: Robot, settings: GuideSettings) -> dict[str, object]:
         "tension_shift_max": None, "enable_at_once": False, "slack_time": SLACK_TIME_S,
         "speed_max": SPEED_RATIO * settings.speed,
     }  # fmt: skip
+
+
+def check_speed(speed: float, robot: Robot) -> None:
+    """Refuse a speed of the platform [m/s] that its winches do not follow with feedback.
+
+    Raises:
+        InvalidField: Too fast.
+    """
+    slowest = float(robot.speed_max.min())
+    if SPEED_RATIO * speed > slowest:
+        allowed = (
+            f"at most {slowest / SPEED_RATIO:.3g} m/s: the slowest winch does {slowest:.3g} m/s, "
+            f"and {SPEED_RATIO:g} times the speed is needed"
+        )
+        raise InvalidField("--speed", f"{speed:g} m/s", allowed)
 
 
 def simulated_driver(

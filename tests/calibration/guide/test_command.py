@@ -134,6 +134,7 @@ def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch, capsys):
         (("--driver", "simulator"), "--driver: got 'simulator'; allowed: quasi_static"),
         (("--enable",), "--enable: got given; allowed: not with --driver quasi_static"),
         (("--driver", "ads", "--tape", "a", "b"), "--tape: .* with --driver quasi_static only"),
+        (("--speed", "50"), r"--speed: got 50 m/s; allowed: at most .* slowest winch does"),
         (("--tape", "a", "q"), "--tape: got 'q'; allowed: one of"),
         (("--accuracy", "0"), "accuracy: got 0.0 m"),
         (("--true-robot", "carosac"), "--true-robot: got cables"),
