@@ -37,6 +37,9 @@ SLOWED_SHARE = 0.25  # of the way from a tension used on purpose to its limit: s
 WAITING_SHARE = 0.5  # the same: waits from there on
 CREEP_SHARE = 0.1  # of the speed: at either end of a path, and on the way back
 PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension at full speed
+SLACK_SHARE = 0.5  # of the way from a limit to the lowest tension used on purpose: slack below
+SLACK_STRAIN_MAX = 0.01  # of a cable: wound in while it, or another, is slack
+CARRIED_SHARE = 0.5  # of the weight: sum of tensions below which load cells are wrong
 WOUND_RATIO = 2.0  # of the winding that turns a move back: winding that stops the guide
 
 
@@ -94,7 +97,7 @@ class DriverMover:
         with ThreadPoolExecutor(max_workers=1) as pool:
             future = pool.submit(work)
             while not future.done():
-                self._periods.one(self._command)
+                self._pass()
         return future.result()
 
     def move(self, known: Knowledge, start: Array, end: Array) -> str:
@@ -132,7 +135,20 @@ class DriverMover:
             following = path.at(share)
             self._command = self._command + following - length + change
             length = following
-            self._periods.one(self._command)
+            self._pass()
+
+    def _pass(self) -> None:
+        """Send the command and let one period pass.
+
+        With tensions the next command follows from what limits have let through, so that nothing
+        is held back to be wound later; without, the lengths of all cables must keep together.
+
+        Raises:
+            Stopped: The driver does not go on.
+        """
+        sent = self._periods.one(self._command)
+        if sent is not None and self.measures_tension:
+            self._command = sent
 
     def _correction(self, path: _Path, share: float) -> tuple[Array, float]:
         """Return the change of tensions to be wound, and how far off they are.
@@ -234,6 +250,7 @@ class _Winding:
         """Begin a move; `margin`: winding that a load cell must notice [N], shape (n,)."""
         self._robot, self._margin = robot, margin
         self._total, self._unseen = np.zeros(robot.n), np.zeros(robot.n)
+        self._taken = np.zeros(robot.n)  # strain, while cables were slack
         self._shown: Array | None = None
         self._allowed = 0.0
 
@@ -250,7 +267,9 @@ class _Winding:
         """
         if tension is None:
             return False
-        same = self._shown is not None and tension == self._shown
+        self._check_sum(tension)
+        slack = tension < self._robot.tension_min + SLACK_SHARE * self._margin
+        same = self._shown is not None and (tension == self._shown) & (not slack.any())
         self._unseen, self._shown = np.where(same, self._unseen + pull, 0.0), tension
         stuck = np.flatnonzero(np.abs(self._unseen) > self._margin)
         if len(stuck):
@@ -260,6 +279,9 @@ class _Winding:
                 f"all the time, though the cable was wound by {abs(self._unseen[k]):.3g} N: it "
                 "is stuck"
             )
+        if slack.any():
+            self._take_in(pull, int(np.argmin(tension)), float(tension.min()))
+            return False
         self._total = self._total + pull
         self._allowed = max(self._allowed, error + self._robot.weight)
         wound = float(np.abs(self._total).max())
@@ -269,6 +291,25 @@ class _Winding:
                 f"{self._allowed:.3g} N were expected: look at load cells and cables"
             )
         return wound > self._allowed
+
+    def _check_sum(self, tension: Array) -> None:
+        """Require that cables carry the platform: together they pull more than it weighs."""
+        carried, weight = float(tension.sum()), self._robot.weight
+        if carried < CARRIED_SHARE * weight:
+            raise Stopped(
+                f"the load cells show {carried:.3g} N in all, and the platform weighs "
+                f"{weight:.3g} N: it does not hang free, or they are wrong"
+            )
+
+    def _take_in(self, pull: Array, k: int, tension: float) -> None:
+        """Count what is wound while cables are slack, the slackest of them cable k."""
+        self._taken = self._taken + pull / self._robot.axial_stiffness
+        if np.abs(self._taken).max() > SLACK_STRAIN_MAX:
+            raise Stopped(
+                f"cable {self._robot.cable_names[k]} shows {tension:.3g} N still, though "
+                f"{100 * SLACK_STRAIN_MAX:g} % of a cable was wound in: pull it taut by hand, and "
+                "look at its load cell"
+            )
 
 
 def _wanted(now: Array, matrix: Array, spare: Array, low: Array, high: Array) -> Array | None:

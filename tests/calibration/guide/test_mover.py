@@ -7,6 +7,7 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.guide.drivers import enable_where_it_is, guarded, simulated_driver
+from calibration.guide.fit import nothing_measured
 from calibration.guide.guide import Guide
 from calibration.guide.mover import WOUND_RATIO, DriverMover, _Winding
 from calibration.guide.rest import Stopped
@@ -76,6 +77,33 @@ def test_a_move_into_a_limit_turns_back_before_it(tmp_path):
     assert tension.min() >= ROBOT.tension_min.max()
     assert tension.max() <= ROBOT.tension_max.min()
     assert (rest.tension > ROBOT.tension_min).all()
+
+
+class Cautious(Recorded):
+    """A driver that sends less than it is told at first."""
+
+    def __init__(self, driver):
+        super().__init__(driver)
+        self.held, self.asked = None, []
+
+    def command(self, command):
+        self.asked.append(command.unstrained_length[0])
+        length = command.unstrained_length if self.held is None else self.held
+        return self._driver.command(replace(command, unstrained_length=length))
+
+
+def test_commands_go_on_from_what_was_really_sent(tmp_path):
+    """Winding that limits held back must not come all at once later."""
+    inner = simulated_driver(ROBOT, true_robot(0), QUICK, seed=0)
+    driver = Cautious(inner)
+    driver.connect()
+    mover = DriverMover(driver, ROBOT, QUICK, real_time=False)
+    driver.held = np.array(driver.measure().unstrained_length)
+    home = ROBOT.home_position
+    known = nothing_measured(ROBOT, SelfCalibrationSettings(), tension=True)
+    mover.move(known, home, home + np.array([0.0, 0.05, 0.0]))
+    apart = np.abs(np.array(driver.asked) - driver.held).max()
+    assert apart < 5e-3
 
 
 def test_a_driver_that_stops_ends_the_move(tmp_path):
@@ -174,3 +202,27 @@ def test_winding_beyond_what_wrong_lengths_explain_turns_back_and_then_stops():
     allowed = (error + ROBOT.weight) / pull
     assert turned.index(True) == pytest.approx(allowed, abs=1.0)
     assert len(turned) == pytest.approx(WOUND_RATIO * allowed, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("shown", "message"),
+    [
+        (np.zeros(4), "load cells show .* the platform weighs"),
+        (np.array([0.0, 0.0, 0.0, ROBOT.weight]), "cable a shows .* was wound in"),
+    ],
+)
+def test_slack_cables_are_not_wound_in_for_ever(tmp_path, shown, message):
+    """Cells that show slack cables, as when they are unplugged; those of a clamp show 0 exactly."""
+    guide, driver = broken(tmp_path / "samples.csv", lambda now, last: now)
+    driver._fail = lambda now, last: Stamped(time=now.time, value=shown[None])
+    driver._count = BROKEN_AFTER
+    guide.resume()
+    with pytest.raises(Stopped, match=message):
+        list(guide.collect())
+
+
+def test_cables_that_are_slack_at_first_are_taken_in():
+    winding = _Winding(ROBOT, np.full(4, 4.0))
+    for _ in range(80):  # nothing is felt yet, and it is more than the weight of the platform
+        assert not winding.is_too_much(np.ones(4), np.array([0.0, 0.0, 0.0, ROBOT.weight]), 0.0)
+    assert not winding.is_too_much(np.ones(4), np.array([3.5, 3.5, 3.5, ROBOT.weight]), 0.0)
