@@ -13,6 +13,8 @@ number of a signal, such as 130, that it was stopped.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,8 +23,10 @@ import numpy as np
 import tyro
 
 from calibration.guide import progress as shown
+from calibration.guide.drivers import check_speed
+from calibration.guide.fit import exit_distances
 from calibration.guide.guide import Guide
-from calibration.guide.mover import Stopped
+from calibration.guide.rest import Stopped
 from calibration.guide.samples import SampleFile
 from calibration.guide.session import SIMULATED, Session, real, simulated
 from calibration.guide.settings import GuideSettings
@@ -35,7 +39,7 @@ from calibration.self_calibration.command import prior_settings
 from calibration.self_calibration.problem import check_drums
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
@@ -104,36 +108,48 @@ def run(options: Options) -> CommandResult:
     check_drums(robot)
     _check_platform(options, robot)
     _check_options(options)
+    check_speed(settings.speed, robot)
     check_output("--output", options.output, options.robot)
-    samples = SampleFile(Path(options.samples), robot)
+    with SampleFile.held(Path(options.samples), robot) as samples:
+        return _run(options, robot, samples, settings)
+
+
+def _run(
+    options: Options, robot: Robot, samples: SampleFile, settings: GuideSettings
+) -> CommandResult:
+    """Guide one robot, with its samples."""
     with _session(options, robot, settings) as session:
         priors = _priors(options, session)
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
-            verdict = _guided(options, guide, session, settings, robot)
+            resumed = guide.resume()
+            with _going_on_from(samples):
+                verdict = _guided(options, guide, session, settings, fresh=resumed is None)
         except Stopped as error:
             print(f"\nstopped: {error}; the same command goes on from {options.samples}")
             number = None if session.ending is None else session.ending.signal
             status = 1 if number is None else 128 + number
             return CommandResult({"samples": len(samples.names)}, status=status)
-    if options.output is not None:
+    print()
+    print_sentences(_sentences(guide, session, verdict))
+    refused = verdict is not None and not verdict.holds
+    if options.output is not None and refused:
+        print(f"\nno new robot file is written: the verdict is negative ({options.output})")
+    elif options.output is not None:
         noise = replace(priors, line_sigma=guide.known.line_sigma)
         result = calibrate_motor_angles(samples.measured(), robot, noise)
         provenance = f"guided self-calibration, samples in {samples.path.name}"
         write_new_robot(result, options.robot, options.output, provenance=provenance)
-    print()
-    print_sentences(_sentences(guide, session, verdict))
     data = {
         "robot": robot.name,
         "samples": len(samples.measured().samples),
         "accurate": guide.accurate,
         "exit_distance_m": guide.known.exit_distance,
-        "exit_sigma_m": dict(zip(robot.cable_names, guide.known.exit_sigma, strict=True)),
+        "exit_distances_m": dict(zip(robot.cable_names, exit_distances(guide.known), strict=True)),
         "exit_points_m": dict(zip(robot.cable_names, guide.known.exit_points, strict=True)),
         "verdict": None if verdict is None else verdict.data(),
     }
-    good = guide.accurate and (verdict is None or verdict.holds)
-    return CommandResult(data, status=0 if good else 1)
+    return CommandResult(data, status=0 if guide.accurate and not refused else 1)
 
 
 def _priors(options: Options, session: Session) -> SelfCalibrationSettings:
@@ -163,10 +179,10 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
 
 
 def _guided(
-    options: Options, guide: Guide, session: Session, settings: GuideSettings, robot: Robot
+    options: Options, guide: Guide, session: Session, settings: GuideSettings, *, fresh: bool
 ) -> Verdict | None:
     """Collect and check, and print each sample."""
-    resumed = guide.resume()
+    robot = guide.known.problem.robot
     print_sentences(
         [
             f"robot {robot.name}: wanted are exit points to {1e3 * settings.accuracy:.3g} mm "
@@ -175,6 +191,9 @@ def _guided(
         ],
         "",
     )
+    if guide.finished:
+        print("all samples and checks are there already")
+        return Verdict(checks=guide.checked) if settings.checks else None
     if options.by_hand:
         print("A hand's breadth does not matter at the positions below, but pull all cables taut.")
     print("\n" + shown.header())
@@ -198,14 +217,25 @@ def _guided(
             true.append(truth())
     checks = guide.checked
     error = None
-    if resumed is None and truth is not None:
+    if fresh and truth is not None:
         error = aligned_errors(place, true, robot.home_position)[-len(checks) :]
     return Verdict(checks=checks, position_error=error)
 
 
+@contextlib.contextmanager
+def _going_on_from(samples: SampleFile) -> Iterator[None]:
+    """Count every error as a stop once there is a sample: another run goes on from it."""
+    try:
+        yield
+    except CarosacError as error:
+        if isinstance(error, Stopped) or not samples.names:
+            raise
+        raise Stopped(str(error)) from error
+
+
 def _sentences(guide: Guide, session: Session, verdict: Verdict | None) -> list[str]:
     """Return the outcome in words, the verdict last."""
-    known, largest = 1e3 * guide.known.exit_distance, 1e3 * float(guide.known.exit_sigma.max())
+    known, largest = 1e3 * guide.known.exit_distance, 1e3 * float(exit_distances(guide.known).max())
     count = len(guide.samples.measured().samples)
     lines = [
         f"{count} samples; the exit points are known to {known:.1f} mm on average, the worst to "

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import MisjudgedPlant
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.loop.protocols import Driver
@@ -34,6 +33,21 @@ def guard_limits(robot: Robot, settings: GuideSettings) -> dict[str, object]:
         "tension_shift_max": None, "enable_at_once": False, "slack_time": SLACK_TIME_S,
         "speed_max": SPEED_RATIO * settings.speed,
     }  # fmt: skip
+
+
+def check_speed(speed: float, robot: Robot) -> None:
+    """Refuse a speed of the platform [m/s] that its winches do not follow with feedback.
+
+    Raises:
+        InvalidField: Too fast.
+    """
+    slowest = float(robot.speed_max.min())
+    if SPEED_RATIO * speed > slowest:
+        allowed = (
+            f"at most {slowest / SPEED_RATIO:.3g} m/s: the slowest winch does {slowest:.3g} m/s, "
+            f"and {SPEED_RATIO:g} times the speed is needed"
+        )
+        raise InvalidField("--speed", f"{speed:g} m/s", allowed)
 
 
 def simulated_driver(
@@ -77,23 +91,3 @@ def enable_where_it_is(guard: GuardedDriver, robot: Robot) -> None:
         )
     )
     guard.enable()
-
-
-def reader(driver: Driver, settings: GuideSettings) -> Callable[[], Rest]:
-    """Return how to read the sensors of a platform that somebody holds at rest."""
-
-    def read() -> Rest:
-        lengths, tensions = [], []
-        for _ in range(round((settings.settle_time + settings.sample_time) / settings.period)):
-            driver.wait(settings.period)
-            measured = driver.measure()
-            lengths.append(measured.unstrained_length[0])
-            if measured.tension is not None:
-                tensions.append(measured.tension.value[0])
-        kept = slice(round(settings.settle_time / settings.period), None)
-        return Rest(
-            length=np.mean(lengths[kept], axis=0),
-            tension=np.mean(tensions[kept], axis=0) if tensions else None,
-        )
-
-    return read

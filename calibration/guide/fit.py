@@ -129,6 +129,15 @@ def refit(before: Knowledge, angles: MotorAngles, position: Array) -> GuideFit:
     return GuideFit(known=known, position=position, spread=float(np.sqrt(square.mean())))
 
 
+def exit_distances(known: Knowledge) -> Array:
+    """Return the root mean square distance of each exit point from the truth [m], shape (n,).
+
+    Turns of the whole robot about home are left out, as in the mean, `Knowledge.exit_distance`.
+    """
+    variance = np.diag(known.exit_covariance).reshape(-1, 3).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
 def first(angles: MotorAngles, count: int) -> MotorAngles:
     """Return the first samples."""
     return _rows(angles, slice(0, count))

@@ -94,6 +94,13 @@ class Guide:
         """True once the exit points are as accurate as wanted."""
         return self._known.exit_distance <= self._settings.accuracy
 
+    @property
+    def finished(self) -> bool:
+        """True if no sample and no check is missing."""
+        count, settings = len(self._collected), self._settings
+        enough = count > 0 and (self.accurate or count >= settings.max_samples)
+        return enough and len(self._checked) >= settings.checks
+
     def resume(self) -> GuideFit | None:
         """Find where the platform is, and fit the samples of an earlier run.
 
@@ -122,6 +129,16 @@ class Guide:
                     assert self.fit is not None
                     place = np.vstack([self.fit.position, ahead.position])
         (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
+        if self.samples.names and not self._taut(rest):
+            self._mover.move(self._known, now.position, now.position)
+            rest = self._mover.rest()
+            if not self._taut(rest):
+                raise CarosacError(
+                    f"cables are slack: {_newtons(rest)}; allowed: all of them above "
+                    f"{self._taut_min.min():.3g} N. Pull them taut where the platform is, and "
+                    "start again"
+                )
+            (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
         if self._taut(rest) and now.chance < FOREIGN_CHANCE:
             raise CarosacError(
                 f"{self.samples.path}: the lengths now do not belong to these samples: the spare "
@@ -176,7 +193,7 @@ class Guide:
         if not self._taut(rest):
             raise CarosacError(
                 f"the cables are not taut at home: {_newtons(rest)}; allowed: all of them above "
-                f"{operating_tensions(self._robot)[0].min():.3g} N. Tighten them by hand, or raise "
+                f"{self._taut_min.min():.3g} N. Tighten them by hand, or raise "
                 "home"
             )
         self.samples.add(HOME_SAMPLE, rest)
@@ -235,8 +252,13 @@ class Guide:
         """Return whether all cables are taut, as far as that is known."""
         if rest.tension is None:
             return True
+        return bool((rest.tension >= self._taut_min).all())
+
+    @property
+    def _taut_min(self) -> Array:
+        """Tensions from which on a cable counts as taut [N], shape (n,)."""
         low, minimum = operating_tensions(self._robot)[0], self._robot.tension_min
-        return bool((rest.tension >= minimum + TAUT_SHARE * (low - minimum)).all())
+        return np.asarray(minimum + TAUT_SHARE * (low - minimum))
 
     def _reach(self) -> Reach:
         """Return how far the next move may go: little at first, then as far again."""

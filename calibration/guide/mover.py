@@ -17,15 +17,14 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from calibration.guide.rest import Periods, Stopped
 from calibration.guide.samples import Rest
 from calibration.guide.settings import GuideSettings
 from calibration.self_calibration.balance import force_balance, operating_tensions
 from calibration.self_calibration.knowledge import Knowledge, expected_angles, spare_directions
 from calibration.self_calibration.safe_tensions import tension_error
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.protocols import Driver
-from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.physics.rest import tension_distribution
 from carosac_toolkit.robot.robot import Robot
@@ -38,10 +37,10 @@ SLOWED_SHARE = 0.25  # of the way from a tension used on purpose to its limit: s
 WAITING_SHARE = 0.5  # the same: waits from there on
 CREEP_SHARE = 0.1  # of the speed: at either end of a path, and on the way back
 PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension at full speed
-
-
-class Stopped(CarosacError):
-    """The driver does not go on."""
+SLACK_SHARE = 0.5  # of the way from a limit to the lowest tension used on purpose: slack below
+SLACK_STRAIN_MAX = 0.01  # of a cable: wound in while it, or another, is slack
+CARRIED_SHARE = 0.5  # of the weight: sum of tensions below which load cells are wrong
+WOUND_RATIO = 2.0  # of the winding that turns a move back: winding that stops the guide
 
 
 class Mover(Protocol):
@@ -75,32 +74,21 @@ class DriverMover:
             settings: Speeds and times.
             real_time: Whether the driver has to be called while the host computes.
         """
-        self._driver, self._settings, self._real_time = driver, settings, real_time
+        self._settings, self._real_time = settings, real_time
+        self._robot = robot
         self._low, self._high = operating_tensions(robot)
         self._limits = robot.tension_min, robot.tension_max
-        self._measured = driver.measure()
-        self._command = np.array(self._measured.unstrained_length[0])
+        self._periods = Periods(driver, settings)
+        self._command = np.array(self._periods.measured.unstrained_length[0])
 
     @property
     def measures_tension(self) -> bool:
         """True if the driver has load cells."""
-        return self._measured.tension is not None
+        return self._periods.measures_tension
 
     def rest(self) -> Rest:
         """Wait until the platform rests, and return the mean of what the sensors say."""
-        settings = self._settings
-        for _ in range(round(settings.settle_time / settings.period)):
-            self._cycle()
-        lengths, tensions = [], []
-        for _ in range(round(settings.sample_time / settings.period)):
-            self._cycle()
-            lengths.append(self._measured.unstrained_length[0])
-            if self._measured.tension is not None:
-                tensions.append(self._measured.tension.value[0])
-        return Rest(
-            length=np.mean(lengths, axis=0),
-            tension=np.mean(tensions, axis=0) if tensions else None,
-        )
+        return self._periods.rest(self._command)
 
     def while_holding(self, work: Callable[[], T]) -> T:
         """Compute while the winches hold; in real time the driver goes on meanwhile."""
@@ -109,7 +97,7 @@ class DriverMover:
         with ThreadPoolExecutor(max_workers=1) as pool:
             future = pool.submit(work)
             while not future.done():
-                self._cycle()
+                self._pass()
         return future.result()
 
     def move(self, known: Knowledge, start: Array, end: Array) -> str:
@@ -124,12 +112,16 @@ class DriverMover:
             Why the move ended early, or nothing.
 
         Raises:
-            Stopped: The driver does not go on.
+            Stopped: The driver does not go on, or load cells do not show what is wound.
         """
         path = self.while_holding(lambda: self._path(known, start, end))
         share, length, waited, back = 0.0, path.length[0], 0, False
+        winding = _Winding(self._robot, self._low - self._limits[0])
         while True:
-            change, away = self._correction(path, share)
+            pull, away = self._correction(path, share)
+            change = path.wound(share, pull)
+            error = path.tension_error(share)
+            back = winding.is_too_much(pull, self._periods.tension, error) or back
             if back and (share <= 0.0 or away < SLOWED_SHARE):
                 return "its tensions did not come back"
             if not back and share >= 1.0 and away < SLOWED_SHARE:
@@ -143,22 +135,35 @@ class DriverMover:
             following = path.at(share)
             self._command = self._command + following - length + change
             length = following
-            self._cycle()
+            self._pass()
+
+    def _pass(self) -> None:
+        """Send the command and let one period pass.
+
+        With tensions the next command follows from what limits have let through, so that nothing
+        is held back to be wound later; without, the lengths of all cables must keep together.
+
+        Raises:
+            Stopped: The driver does not go on.
+        """
+        sent = self._periods.one(self._command)
+        if sent is not None and self.measures_tension:
+            self._command = sent
 
     def _correction(self, path: _Path, share: float) -> tuple[Array, float]:
-        """Return the change of the lengths that brings tensions back, and how far off they are.
+        """Return the change of tensions to be wound, and how far off they are.
 
         The wanted tensions balance the same force as the measured ones, so that a wrong weight
         does no harm.
 
         Returns:
-            Change [m], shape (n,), and the largest departure from the tensions used on purpose, as
-            a share of the way to the limit.
+            Change [N], shape (n,), in the spare directions, and the largest departure from the
+            tensions used on purpose, as a share of the way to the limit.
         """
-        if self._measured.tension is None:
+        now = self._periods.tension
+        if now is None:
             return np.zeros(len(self._low)), 0.0
-        now = self._measured.tension.value[0]
-        matrix, spare, softness = path.point(share)
+        matrix, spare, _ = path.point(share)
         low, high = self._limits
         away = float(
             np.maximum(
@@ -168,23 +173,7 @@ class DriverMover:
         wanted = _wanted(now, matrix, spare, self._low, self._high)
         if wanted is None:  # no winding helps
             return np.zeros(len(self._low)), max(away, WAITING_SHARE)
-        missing = spare.T @ (wanted - now) / FEEDBACK_PERIODS
-        return -spare @ ((spare.T * softness) @ spare) @ missing, away
-
-    def _cycle(self) -> None:
-        """Send the command, wait a period, and measure.
-
-        Raises:
-            Stopped: The driver does not go on.
-        """
-        driver = self._driver
-        command = Command(time=self._measured.time, unstrained_length=self._command[None])
-        driver.command(command)
-        if not driver.wait(self._settings.period):
-            fault, ending = (getattr(driver, name, None) for name in ("fault", "ending"))
-            why = ending or "the driver has stopped"
-            raise Stopped(why if fault is None else f"fault: {fault}")
-        self._measured = driver.measure()
+        return spare @ (spare.T @ (wanted - now)) / FEEDBACK_PERIODS, away
 
     def _path(self, known: Knowledge, start: Array, end: Array) -> _Path:
         """Compute lengths and spare directions along a line, as they are known."""
@@ -197,10 +186,9 @@ class DriverMover:
         reference = drums.motor_angle(problem.prior.mean[problem.zeros])
         settings, way = self._settings, float(np.linalg.norm(end - start))
         speed = settings.speed
+        error = tension_error(known, start, place)
         if way > 0.0:
-            rate = (
-                float(tension_error(known, start, end[None])[0]) / 3.0 / way
-            )  # 1 sigma, N per metre
+            rate = float(error[-1]) / 3.0 / way  # 1 sigma, N per metre
             room = PREDICTED_SHARE * float((self._low - self._limits[0]).min())
             speed = min(speed, room / (rate * FEEDBACK_PERIODS * settings.period))
         return _Path(
@@ -208,6 +196,7 @@ class DriverMover:
             matrix=matrix,
             spare=spare_directions(matrix[:, :3].swapaxes(1, 2)),
             softness=(straight + robot.run_length) / robot.axial_stiffness,
+            error=error,
             way=way,
             speed_max=max(speed, CREEP_SHARE * settings.speed),
             acceleration=settings.acceleration,
@@ -222,6 +211,7 @@ class _Path:
     matrix: Array
     spare: Array
     softness: Array
+    error: Array
     way: float
     speed_max: float
     acceleration: float
@@ -237,11 +227,89 @@ class _Path:
         k = round(share * PATH_STEPS)
         return self.matrix[k], self.spare[k], self.softness[k]
 
+    def wound(self, share: float, pull: Array) -> Array:
+        """Return the change of lengths [m] that changes tensions in the spare directions [N]."""
+        _, spare, softness = self.point(share)
+        return np.asarray(-spare @ ((spare.T * softness) @ spare) @ (spare.T @ pull))
+
+    def tension_error(self, share: float) -> float:
+        """Return three standard deviations of tensions by lengths alone, since the start [N]."""
+        return float(self.error[round(share * PATH_STEPS)])
+
     def speed(self, share: float) -> float:
         """Return the speed from rest to rest [m/s]."""
         left = min(share, 1.0 - share) * self.way
         limit = np.sqrt(2.0 * self.acceleration * left)
         return float(np.clip(limit, CREEP_SHARE * self.speed_max, self.speed_max))
+
+
+class _Winding:
+    """What a move has wound to keep tensions, as the change that it should have made to them."""
+
+    def __init__(self, robot: Robot, margin: Array) -> None:
+        """Begin a move; `margin`: winding that a load cell must notice [N], shape (n,)."""
+        self._robot, self._margin = robot, margin
+        self._total, self._unseen = np.zeros(robot.n), np.zeros(robot.n)
+        self._taken = np.zeros(robot.n)  # strain, while cables were slack
+        self._shown: Array | None = None
+        self._allowed = 0.0
+
+    def is_too_much(self, pull: Array, tension: Array | None, error: float) -> bool:
+        """Return whether wrong lengths no longer explain what was wound.
+
+        Args:
+            pull: Winding of this period [N], shape (n,).
+            tension: Measured [N], shape (n,), or None.
+            error: Largest change of a tension by lengths alone, as predicted [N].
+
+        Raises:
+            Stopped: A load cell does not notice the winding, or it is far too much.
+        """
+        if tension is None:
+            return False
+        self._check_sum(tension)
+        slack = tension < self._robot.tension_min + SLACK_SHARE * self._margin
+        same = self._shown is not None and (tension == self._shown) & (not slack.any())
+        self._unseen, self._shown = np.where(same, self._unseen + pull, 0.0), tension
+        stuck = np.flatnonzero(np.abs(self._unseen) > self._margin)
+        if len(stuck):
+            k = int(stuck[0])
+            raise Stopped(
+                f"the load cell of cable {self._robot.cable_names[k]} shows {tension[k]:.4g} N "
+                f"all the time, though the cable was wound by {abs(self._unseen[k]):.3g} N: it "
+                "is stuck"
+            )
+        if slack.any():
+            self._take_in(pull, int(np.argmin(tension)), float(tension.min()))
+            return False
+        self._total = self._total + pull
+        self._allowed = max(self._allowed, error + self._robot.weight)
+        wound = float(np.abs(self._total).max())
+        if wound > WOUND_RATIO * self._allowed:
+            raise Stopped(
+                f"cables were wound by {wound:.3g} N to keep their tensions, where "
+                f"{self._allowed:.3g} N were expected: look at load cells and cables"
+            )
+        return wound > self._allowed
+
+    def _check_sum(self, tension: Array) -> None:
+        """Require that cables carry the platform: together they pull more than it weighs."""
+        carried, weight = float(tension.sum()), self._robot.weight
+        if carried < CARRIED_SHARE * weight:
+            raise Stopped(
+                f"the load cells show {carried:.3g} N in all, and the platform weighs "
+                f"{weight:.3g} N: it does not hang free, or they are wrong"
+            )
+
+    def _take_in(self, pull: Array, k: int, tension: float) -> None:
+        """Count what is wound while cables are slack, the slackest of them cable k."""
+        self._taken = self._taken + pull / self._robot.axial_stiffness
+        if np.abs(self._taken).max() > SLACK_STRAIN_MAX:
+            raise Stopped(
+                f"cable {self._robot.cable_names[k]} shows {tension:.3g} N still, though "
+                f"{100 * SLACK_STRAIN_MAX:g} % of a cable was wound in: pull it taut by hand, and "
+                "look at its load cell"
+            )
 
 
 def _wanted(now: Array, matrix: Array, spare: Array, low: Array, high: Array) -> Array | None:

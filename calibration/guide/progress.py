@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.guide.fit import Surprise
+from calibration.guide.fit import Surprise, exit_distances
 from calibration.guide.guide import Progress
 from calibration.self_calibration.knowledge import Knowledge
 from carosac_toolkit.base.arrays import Array
@@ -26,9 +26,9 @@ def header() -> str:
 
 def line(progress: Progress) -> str:
     """Return the line of one sample; spread and prediction are of line, the bar is of the mean."""
-    sigma = progress.fit.known.exit_sigma
-    largest, median = 1e3 * float(sigma.max()), 1e3 * float(np.median(sigma))
-    mean = progress.fit.known.exit_distance
+    distance = exit_distances(progress.fit.known)
+    largest, median = 1e3 * float(distance.max()), 1e3 * float(np.median(distance))
+    mean = float(distance.mean())
     tension = ""
     if progress.tension is not None:
         low, high = progress.tension.min(), progress.tension.max()

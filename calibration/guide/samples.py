@@ -7,8 +7,10 @@ follow from: the readings at the reference, and the readings and tensions of eac
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,13 +20,25 @@ import numpy as np
 from calibration.self_calibration.motor_angle_files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.physics.cable.drum import drums_of
 from carosac_toolkit.robot.robot import Robot
 
 HOME_SAMPLE = "home"
 CHECK_PREFIX = "check_"
 _REFERENCE, _SAMPLE = "# reference ", "# sample "
+_ALLOWED = "allowed: a new file, or samples of a guided calibration"
+_UNEDITED = "allowed: the comment as it was written; begin a new file"
+_FIELDS = (
+    "name",
+    "cable_names",
+    "home_position",
+    "home_rotation",
+    "drum_radius",
+    "drum_buildup",
+    "drum_gear",
+    "drum_advantage",
+)  # of the robot: what motor angles and home mean
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +83,25 @@ class SampleFile:
         if path.exists():
             self._read()
 
+    @classmethod
+    @contextlib.contextmanager
+    def held(cls, path: Path, robot: Robot) -> Iterator[SampleFile]:
+        """Read what is there already, and keep other processes from the file meanwhile.
+
+        Raises:
+            InvalidField: It cannot be written, or another process uses it.
+            InvalidFile: Not the samples of a guided calibration of this robot.
+        """
+        with _writable(path):
+            file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
+        try:
+            _lock(file, path)
+            yield cls(path, robot)
+            if not os.fstat(file).st_size:  # not begun
+                path.unlink(missing_ok=True)
+        finally:
+            os.close(file)
+
     def start(self, reference: Rest) -> None:
         """Begin a file where all motor angles are 0.
 
@@ -80,38 +113,51 @@ class SampleFile:
         if reference.tension is not None:
             header += [f"force_{name}_n" for name in self._robot.cable_names]
         header += [f"known_{axis}_m" for axis in "xyz"]
-        note = json.dumps({"robot": self._robot.name, **_numbers(reference)})
-        try:
+        note = json.dumps({"robot": _described(self._robot), **_numbers(reference)})
+        with _writable(self.path):
             self._append(f"{_REFERENCE}{note}\n{','.join(header)}\n")
             folder = os.open(self.path.absolute().parent, os.O_RDONLY)
             os.fsync(folder)
             os.close(folder)
-        except OSError as error:
-            allowed = f"a file that can be written: {error.strerror}"
-            raise InvalidField("SAMPLES", f"'{self.path}'", allowed) from error
 
     def add(self, name: str, rest: Rest) -> None:
-        """Append a sample; it is on the disk when this returns."""
+        """Append a sample; it is on the disk when this returns.
+
+        Raises:
+            InvalidField: It cannot be written.
+        """
         row = self.one(name, rest)
-        self.names.append(name)
-        self.motor_angles.append(row.motor_angle[0])
-        numbers = [*row.motor_angle[0]]
-        if row.tension is not None:
-            self.tensions.append(row.tension[0])
-            numbers += [*row.tension[0]]
+        numbers = [*row.motor_angle[0], *([] if row.tension is None else row.tension[0])]
         cells = [name, *(repr(float(x)) for x in numbers)]
         known = [repr(float(x)) for x in self._robot.home_position]
         cells += known if name == HOME_SAMPLE else [""] * 3
         note = json.dumps({"name": name, **_numbers(rest)})
-        self._append(f"{_SAMPLE}{note}\n{','.join(cells)}\n")
+        with _writable(self.path):
+            self._append(f"{_SAMPLE}{note}\n{','.join(cells)}\n")
+        self.names.append(name)
+        self.motor_angles.append(row.motor_angle[0])
+        if row.tension is not None:
+            self.tensions.append(row.tension[0])
 
     def one(self, name: str, rest: Rest) -> MotorAngles:
-        """Return one sample that is not in the file."""
+        """Return one sample that is not in the file.
+
+        Raises:
+            CarosacError: With tensions where the file has none, or without.
+        """
         assert self.reference is not None
+        if (rest.tension is None) != (self.reference.tension is None):
+            held, given = (
+                ("no tensions", "some") if rest.tension is not None else ("tensions", "none")
+            )
+            raise CarosacError(
+                f"{self.path}: its samples hold {held}, and the driver now gives {given}; allowed: "
+                "the sensors of its first run, or a new file"
+            )
         turned = self._drums.motor_angle(rest.length) - self._drums.motor_angle(
             self.reference.length
         )
-        tensions = [] if rest.tension is None or self.reference.tension is None else [rest.tension]
+        tensions = [] if rest.tension is None else [rest.tension]
         return self._angles([name], [turned], [np.maximum(f, 0.0) for f in tensions])
 
     def measured(self, *, checks: bool = False) -> MotorAngles:
@@ -149,20 +195,24 @@ class SampleFile:
 
     def _read(self) -> None:
         """Take the samples of an earlier run; drop a line that was cut."""
-        text = self.path.read_text(encoding="utf-8")
+        try:
+            text = self.path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else "no text"
+            raise InvalidFile(self.path, [f"{why}; {_ALLOWED}"]) from error
         whole = text[: text.rfind("\n") + 1]
         lines = whole.splitlines()
         if len(lines) < 2 and (not text or text.startswith(_REFERENCE)):  # cut before any sample
             os.truncate(self.path, 0)
             return
         if not lines or not lines[0].startswith(_REFERENCE):
-            fault = "not the samples of a guided calibration; allowed: a new file, or one of its"
-            raise InvalidFile(self.path, [fault])
+            raise InvalidFile(self.path, [f"not the samples of a guided calibration; {_ALLOWED}"])
         note = self._note(lines[0], _REFERENCE)
-        if note.get("robot") != self._robot.name:
-            fault = f"samples of robot {note.get('robot')!r}; allowed: {self._robot.name!r}"
-            raise InvalidFile(self.path, [fault])
-        self.reference = _rest(note)
+        self._check_robot(note.get("robot"))
+        try:
+            self.reference = _rest(note, self._robot.n)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InvalidFile(self.path, [f"line 1, reference: {error}; {_UNEDITED}"]) from error
         if len(whole) < len(text):
             os.truncate(self.path, len(whole.encode()))
         if any(line and not line.startswith("#") for line in lines[2:]):
@@ -170,12 +220,43 @@ class SampleFile:
             self.names, self.motor_angles = list(angles.samples), list(angles.motor_angle)
             self.tensions = [] if angles.tension is None else list(angles.tension)
 
+    def _check_robot(self, held: object) -> None:
+        """Require the robot of the samples, as far as they depend on its file."""
+        held = held if isinstance(held, dict) else {"name": held}
+        for field, value in _described(self._robot).items():
+            if held.get(field) != value:
+                fault = f"samples of a robot with {field} {held.get(field)!r}; allowed: {value!r}"
+                raise InvalidFile(self.path, [f"{fault}, as in the robot file now, or a new file"])
+
     def _note(self, line: str, start: str) -> dict[str, Any]:
         """Read the numbers in a comment."""
         try:
             return dict(json.loads(line.removeprefix(start)))
         except ValueError as error:
-            raise InvalidFile(self.path, [f"{line[:60]!r}: not the comment it was"]) from error
+            raise InvalidFile(self.path, [f"line 1: {line[:60]!r}; {_UNEDITED}"]) from error
+
+
+def _lock(file: int, path: Path) -> None:
+    """Lock a file, until it is closed or the process dies."""
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        allowed = "a file that no other process collects samples in"
+        raise InvalidField("SAMPLES", f"'{path}'", allowed) from error
+
+
+@contextlib.contextmanager
+def _writable(path: Path) -> Iterator[None]:
+    """Tell where a file cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        allowed = f"a file that can be written: {error.strerror}"
+        raise InvalidField("SAMPLES", f"'{path}'", allowed) from error
 
 
 def _numbers(rest: Rest) -> dict[str, Any]:
@@ -184,10 +265,18 @@ def _numbers(rest: Rest) -> dict[str, Any]:
     return {"length_m": rest.length.tolist(), "tension_N": tension}
 
 
-def _rest(note: dict[str, Any]) -> Rest:
-    """Read the numbers of a rest."""
+def _rest(note: dict[str, Any], n: int) -> Rest:
+    """Read the numbers of a rest, of n cables."""
     tension = note.get("tension_N")
-    return Rest(
-        length=np.array(note["length_m"], dtype=np.float64),
-        tension=None if tension is None else np.array(tension, dtype=np.float64),
-    )
+    numbers = [note["length_m"], *([] if tension is None else [tension])]
+    length, *force = (np.array(x, dtype=np.float64).reshape(n) for x in numbers)
+    return Rest(length=length, tension=force[0] if force else None)
+
+
+def _described(robot: Robot) -> dict[str, Any]:
+    """Return what samples depend on, ready for JSON."""
+    fields = {name: getattr(robot, name) for name in _FIELDS}
+    return {
+        name: value if isinstance(value, str) else np.asarray(value).tolist()
+        for name, value in fields.items()
+    }

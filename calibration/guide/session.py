@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +16,12 @@ from calibration.guide.drivers import (
     enable_where_it_is,
     guard_limits,
     guarded,
-    reader,
     simulated_driver,
 )
 from calibration.guide.hand import HandMover
 from calibration.guide.mover import DriverMover, Mover
 from calibration.guide.progress import request
+from calibration.guide.rest import Periods
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import SimulatedHand, draw_true_robot
 from carosac_toolkit.base.arrays import Array
@@ -127,20 +130,35 @@ def real(
         into.setdefault(field, value)
     x, y, z = (float(v) for v in robot.home_position)
     asked = run_options.Options(
-        robot=name, driver=driver, enable=not by_hand, home=(x, y, z), speed=settings.speed,
-        sensors="lengths" if by_hand else SUITE, reset=reset and not by_hand,
+        robot=name, driver=driver, enable=not by_hand,
+        home=None if by_hand else (x, y, z),  # by hand it may be anywhere, and nothing is homed
+        speed=settings.speed, sensors=SUITE, reset=reset and not by_hand,
     )  # fmt: skip
-    guard = make_guard(robot, asked, chosen, settings.period)
     with without_ads_lines():
         if by_hand:
-            guard.connect()
-            with contextlib.closing(guard):
-                ask = _asking(robot)
-                yield Session(mover=HandMover(ask, reader(guard, settings)))
+            with contextlib.closing(_connected(robot, asked, chosen, settings)) as guard:
+                periods = Periods(guard, settings)
+                read = functools.partial(periods.rest, None)
+                yield Session(mover=HandMover(_asking(robot), read, _ask_again))
             return
+        guard = make_guard(robot, asked, chosen, settings.period)
         with _enabled(guard, robot) as ending:
             mover = DriverMover(guard, robot, settings, real_time=guard.real_time)
             yield Session(mover=mover, ending=ending)
+
+
+def _connected(
+    robot: Robot, asked: run_options.Options, chosen: dict[str, Any], settings: GuideSettings
+) -> GuardedDriver:
+    """Connect to read only: with tensions where the driver has them, else lengths alone."""
+    try:
+        guard = make_guard(robot, asked, deepcopy(chosen), settings.period)
+        guard.connect()
+    except InvalidField as error:
+        if not error.field.endswith("suite") or asked.sensors == "lengths":
+            raise
+        return _connected(robot, replace(asked, sensors="lengths"), chosen, settings)
+    return guard
 
 
 @contextlib.contextmanager
@@ -162,8 +180,18 @@ def _asking(robot: Robot) -> Callable[[Array, Array], None]:
 
 def _prompt(robot: Robot, start: Array, end: Array) -> None:
     """Say where to put the platform, and wait for Enter."""
+    _wait_for_enter(request(end, robot.home_position, start))
+
+
+def _ask_again(why: str) -> None:
+    """Say why a sample is no use, and wait for Enter."""
+    _wait_for_enter(f"{why}; hold it still, then Enter to read again ")
+
+
+def _wait_for_enter(text: str) -> None:
+    """Print a text, and wait for Enter."""
     try:
-        input(request(end, robot.home_position, start))
+        input(text)
     except EOFError as error:
         allowed = "Enter for each position"
         raise InvalidField("--by-hand", "the end of the input", allowed) from error

@@ -81,7 +81,7 @@ def taped_distance(robot: Robot, first: str, second: str, seed: int) -> Distance
         robot: The true one.
         first: Name of a cable, or ``home``.
         second: The same.
-        seed: Of the error of the tape; the same seed reads the same.
+        seed: Of the error of the tape; the same seed reads the same between the same ends.
 
     Raises:
         InvalidField: No such cable.
@@ -93,7 +93,11 @@ def taped_distance(robot: Robot, first: str, second: str, seed: int) -> Distance
             raise InvalidField("--tape", repr(name), allowed)
         row = robot.cable_names.index(name) if name != HOME else None
         ends.append(robot.home_position if row is None else robot.exit_points[row])
-    error = TAPE_SIGMA_M * float(np.random.default_rng((seed, TAPE_STREAM)).normal())
+    ends_of_tape = sorted(
+        robot.n if name == HOME else robot.cable_names.index(name) for name in (first, second)
+    )
+    draw = np.random.default_rng((seed, TAPE_STREAM, *ends_of_tape)).normal()
+    error = TAPE_SIGMA_M * float(draw)
     length = float(np.linalg.norm(ends[0] - ends[1])) + error
     return Distance(first=first, second=second, length=round(length, 4), sigma=TAPE_SIGMA_M)
 

@@ -19,6 +19,8 @@ from calibration.guide.samples import SampleFile
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import SimulatedHand, draw_true_robot
 from calibration.self_calibration.settings import SelfCalibrationSettings
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver
 
 LIMITS = {"tension_min": np.full(4, 1.0), "tension_max": np.full(4, 60.0)}
 ROBOT = replace(ct.load_robot("hangprinter"), **LIMITS)
@@ -39,6 +41,25 @@ class Recorded:
         going_on = self._driver.wait(duration)
         self.tension.append(self._driver.truth().tension[0])
         return going_on
+
+
+class Elsewhere(QuasiStaticDriver):
+    """A driver whose encoders count from somewhere else than the home lengths of the file."""
+
+    shift = np.zeros(4)
+
+    def measure(self):
+        measured = super().measure()
+        return replace(measured, unstrained_length=measured.unstrained_length + self.shift)
+
+
+class WithoutCells(Elsewhere):
+    """A driver that has no load cells, and says so."""
+
+    def connect(self):
+        if "tension" in self._settings.suite:
+            raise InvalidField("suite", repr(self._settings.suite), "one without tension")
+        super().connect()
 
 
 def true_robot(seed, robot=ROBOT):

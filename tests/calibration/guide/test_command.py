@@ -46,12 +46,44 @@ def test_a_person_is_guided_to_a_robot_file_and_its_verdict(tmp_path, monkeypatc
     assert len(asked) == result.data["samples"] - 1 + 10
     assert "m from home" in asked[0] and "Enter when it rests" in asked[0]
     assert "tape: --distance a b" in shown
-    assert "within their claim" in shown.rstrip().splitlines()[-1]
+    verdict, _, new_file = shown.rstrip().splitlines()[-3:]
+    assert "within their claim" in verdict
+    assert new_file == f"new robot file: {output}"
     robot, before = load_robot(str(output)), load_robot("hangprinter")
     assert np.abs(robot.exit_points - before.exit_points).max() > 0.05
     sigma = np.sqrt(np.trace(robot.exit_covariance, axis1=1, axis2=2))
     assert sigma.mean() < 0.03
     assert load_motor_angles(path).is_known.sum() == 1
+    table = shown[shown.index("tensions\n") :].split("\n* ")[0].splitlines()
+    last = next(line for line in reversed(table) if line.lstrip()[:1].isdigit())
+    mean, largest, median = (float(cell) for cell in last[69:94].split())
+    assert median <= largest
+    assert mean <= largest
+    assert np.mean(list(result.data["exit_distances_m"].values())) == pytest.approx(
+        result.data["exit_distance_m"]
+    )
+    again = run(path, "--by-hand", "--tape", "a", "b", "--accuracy", 0.02)
+    assert again.data["verdict"]["holds"]
+    assert len(asked) == result.data["samples"] - 1 + 10
+    assert "all samples and checks are there already" in capsys.readouterr().out
+
+
+def test_no_robot_file_is_written_where_the_verdict_is_negative(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("builtins.input", lambda text: "")
+    monkeypatch.setattr("calibration.guide.verdict.CHANCE_MIN", 2.0)
+    output = tmp_path / "found.yaml"
+    words = ("--by-hand", "--max-samples", 4, "--checks", 2, "--output", output)
+    assert run(tmp_path / "samples.csv", *words).status == 1
+    assert not output.exists()
+    assert "no new robot file is written: the verdict is negative" in capsys.readouterr().out
+
+
+def test_two_processes_do_not_share_a_file(tmp_path, monkeypatch):
+    path = tmp_path / "samples.csv"
+    with SampleFile.held(path, load_robot("hangprinter")):
+        with pytest.raises(InvalidField, match=r"SAMPLES: .* no other process collects"):
+            run(path, "--by-hand")
+    assert not path.exists()  # nothing was begun
 
 
 def test_kill_9_in_the_middle_loses_no_sample(tmp_path):
@@ -94,7 +126,7 @@ def test_any_driver_moves_in_real_time_behind_the_guard(tmp_path, capsys):
     assert "simulated truth" not in capsys.readouterr().out
 
 
-def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
+def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch, capsys):
     path = tmp_path / "samples.csv"
     cases = [
         (("--robot", "carosac"), "drum_radius"),
@@ -102,6 +134,7 @@ def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
         (("--driver", "simulator"), "--driver: got 'simulator'; allowed: quasi_static"),
         (("--enable",), "--enable: got given; allowed: not with --driver quasi_static"),
         (("--driver", "ads", "--tape", "a", "b"), "--tape: .* with --driver quasi_static only"),
+        (("--speed", "50"), r"--speed: got 50 m/s; allowed: at most .* slowest winch does"),
         (("--tape", "a", "q"), "--tape: got 'q'; allowed: one of"),
         (("--accuracy", "0"), "accuracy: got 0.0 m"),
         (("--true-robot", "carosac"), "--true-robot: got cables"),
@@ -116,8 +149,9 @@ def test_wrong_calls_are_refused_with_the_reason(tmp_path, monkeypatch):
     with pytest.raises(InvalidField, match=r"anchor points 0.3.* m apart .* --keeps-rotation"):
         run(path, "--robot", wide)
     monkeypatch.setattr("builtins.input", lambda text: (_ for _ in ()).throw(EOFError))
-    with pytest.raises(InvalidField, match="--by-hand: got the end of the input"):
-        run(path, "--by-hand")
+    assert run(path, "--by-hand").status == 1
+    assert "--by-hand: got the end of the input" in (shown := capsys.readouterr().out)
+    assert "the same command goes on" in shown
     (tmp_path / "other.csv").write_text("x\n")
     with pytest.raises(InvalidFile, match="not the samples of a guided calibration"):
         run(tmp_path / "other.csv")

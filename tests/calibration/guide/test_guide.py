@@ -92,6 +92,31 @@ def test_lengths_that_lost_their_meaning_are_no_continuation(tmp_path):
         second.resume()
 
 
+def test_slack_cables_at_a_second_start_are_tightened_before_lengths_are_compared(tmp_path):
+    first, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS)
+    first.resume()
+    list(first.collect())
+    tightened = []
+
+    def slack(hand):
+        def read():
+            rest = hand.read()
+            if tightened and tightened[-1]:
+                foreign = np.array([0.05, 0.0, 0.0, 0.0])
+                return Rest(length=rest.length + foreign, tension=rest.tension)
+            return Rest(length=rest.length, tension=np.array([0.0, 9.0, 9.0, 20.0]))
+
+        return read
+
+    still, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS, read=slack)
+    with pytest.raises(CarosacError, match="cables are slack: tensions 0, 9, 9, 20 N"):
+        still.resume()
+    second, _ = by_hand(tmp_path / "samples.csv", 1, settings=SETTINGS, read=slack)
+    second._mover.move = lambda known, start, end: tightened.append(bool((start == end).all()))
+    with pytest.raises(CarosacError, match="the lengths now do not belong to these samples"):
+        second.resume()
+
+
 def test_predictions_are_within_their_claim_and_a_cable_that_slips_is_told(tmp_path):
     slip = np.zeros(4)
 

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import errno
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import carosac_toolkit as ct
 from calibration.guide.samples import Rest, SampleFile
 from calibration.self_calibration.motor_angle_files import holds_motor_angles, load_motor_angles
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.physics.cable.drum import drums_of
 
 ROBOT = ct.load_robot("hangprinter")
@@ -86,8 +89,53 @@ def test_other_files_are_refused(tmp_path, file):
     other.write_text("sample,motor_a_deg\n0,0\n")
     with pytest.raises(InvalidFile, match="not the samples of a guided calibration"):
         SampleFile(other, ROBOT)
-    other.write_text(file.path.read_text().replace('"robot": "hangprinter"', '"robot": "mine"'))
-    with pytest.raises(InvalidFile, match="samples of robot 'mine'; allowed: 'hangprinter'"):
+    other.write_text(file.path.read_text().replace('"length_m"', '"lengths"'))
+    with pytest.raises(InvalidFile, match="line 1, reference: 'length_m'; allowed: the comment"):
         SampleFile(other, ROBOT)
+    other.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InvalidFile, match="no text; allowed: a new file"):
+        SampleFile(other, ROBOT)
+    with pytest.raises(InvalidFile, match="Is a directory; allowed: a new file"):
+        SampleFile(tmp_path, ROBOT)
     with pytest.raises(InvalidField, match=r"SAMPLES: .* a file that can be written"):
         SampleFile(tmp_path / "none" / "samples.csv", ROBOT).start(rest())
+
+
+def test_samples_with_tensions_and_without_are_not_mixed(tmp_path):
+    pull = np.array([3.0, 4.0, 5.0, 20.0])
+    for first, second, held in ((pull, None, "hold tensions"), (None, pull, "hold no tensions")):
+        file = SampleFile(tmp_path / f"{held}.csv", ROBOT)
+        file.start(rest(tension=first))
+        file.add("home", rest(tension=first))
+        with pytest.raises(CarosacError, match=held):
+            file.add("1", rest(tension=second))
+        assert SampleFile(file.path, ROBOT).names == ["home"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("name", "mine"),
+        ("home_position", np.array([0.0, 0.0, 0.1])),
+        ("drum_radius", ROBOT.drum_radius * 1.1),
+        ("drum_buildup", ROBOT.drum_buildup * 2.0),
+        ("drum_gear", ROBOT.drum_gear * 2.0),
+        ("drum_advantage", np.full(4, 2.0)),
+    ],
+)
+def test_samples_belong_to_the_robot_that_they_were_measured_with(file, field, value):
+    """Motor angles follow from lengths by the drums, and the first sample is at home."""
+    with pytest.raises(InvalidFile, match=f"samples of a robot with {field} .* allowed: "):
+        SampleFile(file.path, replace(ROBOT, **{field: value}))
+    again = SampleFile(file.path, replace(ROBOT, exit_points=ROBOT.exit_points + 0.1))
+    assert again.names == file.names  # a better guess changes no sample
+
+
+def test_a_full_disk_is_told_and_counts_no_sample(file, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.write", full)
+    with pytest.raises(InvalidField, match=r"SAMPLES: .* No space left on device"):
+        file.add("2", rest())
+    assert file.names == ["home", "1", "check_1"]
