@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.estimate import ParameterEstimate
-from calibration.self_calibration.blunder_tests import SettledFit, settle
+from calibration.self_calibration.blunder_tests import SettledFit, cautious, settle
+from calibration.self_calibration.contradictions import contradictions
 from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
@@ -121,13 +122,14 @@ def _result(
     """Put everything together."""
     angles, trust = problem.angles, settled.trust
     shared, position = settled.fit.shared, settled.fit.position
-    system = equations(problem, shared, position, _cautious(problem, settled))
+    system = equations(problem, shared, position, cautious(problem, settled))
     lost = ~trust.lengths & ~trust.known
     covariance = frame.covariance(system.information)
     place = position[:, :3]
     slope = frame.position_slope(system.by_shared[:, :3], place)
     spread = system.position_covariance[:, :3, :3] + slope @ covariance @ slope.swapaxes(1, 2)
     each = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    scale = find_scale(problem, shared, covariance, trust)
     return SelfCalibration(
         before=problem.robot,
         estimate=_parameters(problem, shared, covariance),
@@ -148,25 +150,16 @@ def _result(
         blunders=_blunders(problem, settled),
         left_out=_left_out(problem, settled),
         frame=frame,
-        scale=find_scale(problem, shared, covariance, trust),
+        scale=scale,
         rivals=tuple(rivals),
         observability=problem.prior.judge(
             frame.held(system.information - problem.prior.information)
         ),
-        warnings=warnings_of(problem, settled, rivals, covariance),
+        warnings=(
+            *warnings_of(problem, settled, rivals, covariance),
+            *contradictions(problem, settled, frame, scale),
+        ),
     )
-
-
-def _cautious(problem: MotorAngleProblem, settled: SettledFit) -> Trust:
-    """Return the data with the noise that makes covariances right where it was estimated.
-
-    With an estimated noise, errors have a t distribution of as many freedoms as there are lengths
-    to spare, whose variance is larger than that of a normal one.
-    """
-    trust, freedoms = settled.trust, settled.redundancy
-    if problem.settings.line_sigma is not None or freedoms <= 2.0:
-        return trust
-    return replace(trust, line_sigma=trust.line_sigma * np.sqrt(freedoms / (freedoms - 2.0)))
 
 
 def _parameters(
@@ -226,7 +219,7 @@ def _blunders(problem: MotorAngleProblem, settled: SettledFit) -> tuple[SampleBl
 
 def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut, ...]:
     """Predict each known position from everything else."""
-    trust, angles, left_out = _cautious(problem, settled), problem.angles, []
+    trust, angles, left_out = cautious(problem, settled), problem.angles, []
     for k in np.flatnonzero(trust.known & trust.lengths & angles.is_known):
         axes = angles.coordinates_known[k]
         known = trust.known.copy()

@@ -208,14 +208,6 @@ def warnings_of(
             f"{problem.prior.names[k]} is {far[k]:.1f} prior standard deviations from its prior: "
             "are cables swapped, or is the robot file wrong there?"
         )
-    miss, _ = problem.distances(settled.fit.shared)
-    for distance, error in zip(problem.settings.distances, miss, strict=True):
-        if abs(error) > PRIOR_SIGMAS_MAX * distance.sigma:
-            lines.append(
-                f"the distance {distance} comes out {1e3 * error:+.1f} mm longer than measured, "
-                f"{abs(error) / distance.sigma:.1f} standard deviations: is it between these "
-                "points, and right?"
-            )
     wanted = problem.settings.accuracy
     rows = problem.exits.ravel()
     expected = mean_distance(covariance[np.ix_(rows, rows)])

@@ -284,7 +284,40 @@ def test_a_wrong_distance_is_noticed():
         Distance(first="a", second="b", length=SPAN + 0.02, sigma=1e-3),
     )
     result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(distances=both))
-    assert any("10.0 standard deviations: is it between" in line for line in result.warnings)
+    assert len(result.warnings) == 2
+    for line in result.warnings:
+        assert "m) by everything else, 14." in line and "standard deviations off: is it be" in line
+
+
+@pytest.mark.parametrize(
+    ("change", "source"),
+    [
+        ({}, "lengths at home"),
+        ({"length_at_zero_sigma": 0.3, "drum_radius_sigma": 1e-3}, "drums"),
+    ],
+)
+def test_one_wrong_distance_is_contradicted_by_the_other_sources_of_the_scale(change, source):
+    before, _, _, angles = scene(50, 40, known=())
+    wrong = replace(TAPE, length=1.05 * SPAN, sigma=1e-3)
+    settings = SelfCalibrationSettings(distances=(wrong,), **change)
+    found = calibrate_motor_angles(angles, before, settings).warnings
+    (warning,) = [line for line in found if line.startswith("the distance a to b is")]
+    got, predicted = (float(value) for value in re.findall(r"([\d.]+) m (?:as|\()", warning)[:2])
+    assert got == pytest.approx(1.05 * SPAN, abs=1e-3)
+    assert predicted == pytest.approx(SPAN, rel=0.02)
+    assert f"by the {source}, " in warning
+
+
+def test_lengths_at_home_and_drums_of_different_scales_are_named():
+    before, _, _, angles = scene(50, 40, known=())
+    wrong = replace(before, drum_radius=1.1 * before.drum_radius)
+    settings = SelfCalibrationSettings(drum_radius_sigma=1e-3)
+    (warning,) = [
+        line for line in calibrate_motor_angles(angles, wrong, settings).warnings
+        if line.startswith("the set-up is")
+    ]  # fmt: skip
+    assert "% smaller by the lengths at home than by the drums, " in warning
+    assert calibrate_motor_angles(angles, before, settings).warnings == ()
 
 
 def test_samples_that_are_named_help_more_than_samples_at_home():
