@@ -18,6 +18,7 @@ from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
 from calibration.self_calibration.starting_points import starts
+from calibration.self_calibration.suspects import suspects
 from calibration.self_calibration.verdict import (
     check_determined,
     check_reference,
@@ -158,6 +159,7 @@ def _result(
         warnings=(
             *warnings_of(problem, settled, rivals, covariance),
             *contradictions(problem, settled, frame, scale),
+            *suspects(problem, settled),
         ),
     )
 

@@ -18,14 +18,18 @@ from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.recordings.table import shortened
 
-_ROW = re.compile(r"\[([^\[\]]*)\]")
 _ANGLES, _POSITIONS = "motor_pos_samp", "xyz_of_samp"
+_NAME = re.compile(r"([A-Za-z_]\w*)\s*=\s*(.*)")
+_ARRAY_ENDS = re.compile(r"np\.array\(|numpy\.array\(|[\[\](),\s]")  # around lists of numbers
+_LIST = re.compile(r"\[([^\[\]]*)\]")
+_ECHOES = ("import ", "from ", "M569.3 ")  # lines that a script or a console adds
 
 
 def is_log(text: str) -> bool:
     """Return whether a text is one of bracketed lists rather than a table."""
     lines = [line.strip() for line in text.splitlines()]
-    first = next((line for line in lines if line and not line.startswith("#")), "")
+    passed = ("#", *_ECHOES)
+    first = next((line for line in lines if line and not line.startswith(passed)), "")
     return first.startswith(("[", _ANGLES, _POSITIONS))
 
 
@@ -42,16 +46,27 @@ def parse_log(path: Path, text: str) -> MotorAngles:
     faults: list[str] = []
     angles: list[list[float]] = []
     positions: list[list[float]] = []
-    for match in _ROW.finditer(text):
-        number = text.count("\n", 0, match.start()) + 1
-        before = text[: match.start()]
-        is_position = before.rfind(_POSITIONS) > before.rfind(_ANGLES)
-        row = _numbers(match[1], number, faults, nan_allowed=is_position)
-        width = 3 if is_position else len(angles[0]) if angles else len(row)
-        if len(row) != width or not row:
-            what = "x, y, z" if is_position else f"{width} angles, as in the first list"
-            faults.append(f"line {number}: got {len(row)} numbers; allowed: {what}")
-        (positions if is_position else angles).append(row)
+    is_position = False
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.split("#", 1)[0].strip()
+        if not line or line.startswith(_ECHOES):
+            continue
+        if named := _NAME.fullmatch(line):
+            line, is_position = named[2], named[1] == _POSITIONS
+            if named[1] not in (_ANGLES, _POSITIONS):
+                allowed = f"{_ANGLES} and {_POSITIONS}"
+                faults.append(f"line {number}: unknown array {named[1]!r}; allowed: {allowed}")
+        if _ARRAY_ENDS.sub("", _LIST.sub("", line)) or _incomplete(line):
+            allowed = "complete lists on one line each, such as [-4834.89, 7431.31]"
+            faults.append(f"line {number}: got {raw.strip()!r}; allowed: {allowed}")
+            continue
+        for match in _LIST.finditer(line):
+            row = _numbers(match[1], number, faults, nan_allowed=is_position)
+            width = 3 if is_position else len(angles[0]) if angles else len(row)
+            if len(row) != width or not row:
+                what = "x, y, z" if is_position else f"{width} angles, as in the first list"
+                faults.append(f"line {number}: got {len(row)} numbers; allowed: {what}")
+            (positions if is_position else angles).append(row)
     if not angles:
         faults.append("no samples; allowed: lists of motor angles such as [-4834.89, 7431.31]")
     if len(positions) > len(angles):

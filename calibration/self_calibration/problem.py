@@ -186,13 +186,19 @@ class MotorAngleProblem:
         return new
 
     def without(
-        self, *, places: NDArray[np.intp] | None = None, distance: int | None = None
+        self,
+        *,
+        places: NDArray[np.intp] | None = None,
+        distance: int | None = None,
+        cable: int | None = None,
     ) -> MotorAngleProblem:
-        """Return the same as if some of what is known before were not known.
+        """Return the same as if some of what was known or measured were not.
 
         Args:
             places: Of shared unknowns whose prior is left out, all but for `FORGOTTEN_SIGMAS`.
             distance: Number of the measured distance that is left out.
+            cable: Number of the cable whose motor angles are left out: their noise is as large as
+                the longest cable.
         """
         other = copy(self)
         if places is not None:
@@ -205,6 +211,10 @@ class MotorAngleProblem:
             distances = tuple(self.settings.distances[k] for k in kept)
             other.settings = replace(self.settings, distances=distances)
             other._ends = [self._ends[k] for k in kept]
+        if cable is not None:
+            noise = np.broadcast_to(self._friction_noise, self.angles.motor_angle.shape).copy()
+            noise[:, cable] = self.longest
+            other._friction_noise = noise
         return other
 
     def line_noise(self, line_sigma: float) -> Array:

@@ -14,6 +14,7 @@ from calibration.self_calibration.problem import POINT_LIKE_SHARE, MotorAnglePro
 from calibration.self_calibration.rivals import Rival, rival_warning
 from calibration.self_calibration.solver import SampleFit, Trust, equations
 from calibration.self_calibration.suggested_positions import most_informative
+from calibration.self_calibration.suspects import BLUNDER_SHARE_MAX
 from carosac_toolkit.base.arrays import Array
 
 LOOSE_EXIT_SHARE = (
@@ -21,8 +22,8 @@ LOOSE_EXIT_SHARE = (
 )
 NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
-BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
+LINE_NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
 FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
 
@@ -172,12 +173,20 @@ def _thin(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> str:
     )
 
 
-def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
-    """Explain why most samples do not fit each other; empty if they do."""
+def misfits(
+    problem: MotorAngleProblem, trust: Trust, noise_share: float = LINE_NOISE_SHARE_MAX
+) -> str:
+    """Explain why most samples do not fit each other; empty if they do.
+
+    Args:
+        problem: The samples.
+        trust: Noise and which data count.
+        noise_share: Of the longest cable: more noise of the line is no noise.
+    """
     out, count = int((~trust.lengths).sum()), len(trust.lengths)
     if out > BLUNDER_SHARE_MAX * count:
         what = f"the motor angles of {out} of {count} samples do not fit the others"
-    elif trust.line_sigma > LINE_NOISE_SHARE_MAX * problem.longest:
+    elif trust.line_sigma > noise_share * problem.longest:
         what = f"the motor angles of all samples fit only to {trust.line_sigma:.2g} m of line"
     else:
         return ""
@@ -199,7 +208,7 @@ def warnings_of(
         covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [rival_warning(rival) for rival in rivals if rival.as_good][:1]
-    bad = misfits(problem, settled.trust)
+    bad = misfits(problem, settled.trust, LINE_NOISE_SHARE_USUAL)
     lines += [bad] if bad else []
     far = problem.prior.deviation(settled.fit.shared)
     k = int(np.argmax(far))

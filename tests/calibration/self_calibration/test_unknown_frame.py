@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from benchmarks.unknown_robots import draw_unknown_robot
 from calibration.observability import Unobservable
 from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
@@ -465,3 +466,15 @@ def test_a_platform_that_turns_is_refused_with_what_helps():
     assert "AHRS, swivel angles or load cells" in str(one.value)
     held = SelfCalibrationSettings(keeps_rotation=True)
     assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+
+
+def test_a_cable_that_is_mostly_slack_is_named():
+    case = draw_unknown_robot(np.random.default_rng([77, 1]), cables=5)
+    assert calibrate_motor_angles(case.angles, case.before, case.settings).warnings == ()
+    angle = case.angles.motor_angle.copy()
+    slack = np.random.default_rng(1).uniform(0.003, 0.03, len(angle) - 1) * case.size / 3.0
+    angle[1:, 4] += slack / 0.05 * case.before.drum_gear[4]
+    result = calibrate_motor_angles(
+        replace(case.angles, motor_angle=angle), case.before, case.settings
+    )
+    assert any("without cable e the line fits to 0." in line for line in result.warnings)
