@@ -157,7 +157,7 @@ def _result(
             frame.held(system.information - problem.prior.information)
         ),
         warnings=(
-            *warnings_of(problem, settled, rivals, covariance),
+            *warnings_of(problem, settled, rivals, frame, covariance),
             *contradictions(problem, settled, frame, scale),
             *suspects(problem, settled),
         ),

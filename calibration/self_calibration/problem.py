@@ -39,7 +39,7 @@ POSITION_PRIOR_FACTOR = (
     20.0  # times the longest cable: one standard deviation of a position before any data
 )
 TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
-FORGOTTEN_SIGMAS = 100.0  # by which a prior is widened that is left out
+FORGOTTEN_SIGMAS = 5.0  # factor of the sigmas of a prior that is left out: far, but no collapse
 Rows = slice | NDArray[np.intp]
 
 
@@ -195,7 +195,7 @@ class MotorAngleProblem:
         """Return the same as if some of what was known or measured were not.
 
         Args:
-            places: Of shared unknowns whose prior is left out, all but for `FORGOTTEN_SIGMAS`.
+            places: Of shared unknowns whose prior is left out, but for `FORGOTTEN_SIGMAS`.
             distance: Number of the measured distance that is left out.
             cable: Number of the cable whose motor angles are left out: their noise is as large as
                 the longest cable.

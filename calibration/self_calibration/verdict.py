@@ -24,6 +24,7 @@ NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
 LINE_NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
+TAUGHT_SHARE_MAX = 0.75  # of the exit points' sigma before: samples that leave more teach little
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
 FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
 
@@ -197,14 +198,19 @@ def misfits(
 
 
 def warnings_of(
-    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], covariance: Array
+    problem: MotorAngleProblem,
+    settled: SettledFit,
+    rivals: list[Rival],
+    frame: Frame,
+    covariance: Array,
 ) -> tuple[str, ...]:
-    """Name rival solutions, many blunders, and what contradicts what was known before.
+    """Name rival solutions, many blunders, what taught nothing, and what contradicts the prior.
 
     Args:
         problem: The samples.
         settled: The fit.
         rivals: Other solutions.
+        frame: Of the result.
         covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [rival_warning(rival) for rival in rivals if rival.as_good][:1]
@@ -220,6 +226,13 @@ def warnings_of(
     wanted = problem.settings.accuracy
     rows = problem.exits.ravel()
     expected = mean_distance(covariance[np.ix_(rows, rows)])
+    before = mean_distance(_untaught(problem, settled, frame)[np.ix_(rows, rows)])
+    if expected > TAUGHT_SHARE_MAX * before:
+        lines.append(
+            "the samples teach hardly anything about the exit points, which are known to "
+            f"{1e3 * before:.1f} mm without them and to {1e3 * expected:.1f} mm with them: samples "
+            "spread over the whole workspace are needed"
+        )
     if wanted is not None and expected > wanted:
         lines.append(
             f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
@@ -227,3 +240,13 @@ def warnings_of(
             + next_positions(problem, settled.fit.shared, covariance, settled.trust.line_sigma)
         )
     return tuple(lines)
+
+
+def _untaught(problem: MotorAngleProblem, settled: SettledFit, frame: Frame) -> Array:
+    """Return the covariance of the shared unknowns without all samples but the reference."""
+    reference = problem.reference
+    rows = np.arange(len(problem.angles.samples))
+    only = rows == reference.row if reference is not None else np.zeros_like(rows, dtype=np.bool_)
+    trust = replace(settled.trust, lengths=only)
+    system = equations(problem, settled.fit.shared, settled.fit.position, trust)
+    return frame.covariance(system.information)

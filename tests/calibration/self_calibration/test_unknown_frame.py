@@ -478,3 +478,18 @@ def test_a_cable_that_is_mostly_slack_is_named():
         replace(case.angles, motor_angle=angle), case.before, case.settings
     )
     assert any("without cable e the line fits to 0." in line for line in result.warnings)
+
+
+@pytest.mark.parametrize(("spread", "teaches"), [(1.0, True), (0.0, False)])
+def test_samples_that_teach_nothing_about_known_exit_points_are_a_warning(spread, teaches):
+    _, truth, place, _ = scene(50, 40, known=())
+    rng = np.random.default_rng(0)
+    angles = measure_motor_angles(
+        truth, spread * place, np.arange(0), MeasurementNoise(line=1e-3), rng
+    )
+    guess = truth.exit_points + rng.normal(0.0, 0.05, (4, 3))
+    robot = loose(replace(truth, exit_points=guess), 0.05)
+    settings = SelfCalibrationSettings(length_at_zero_sigma=0.05)
+    warnings = calibrate_motor_angles(angles, robot, settings).warnings
+    assert teaches == (warnings == ())
+    assert teaches or warnings[0].startswith("the samples teach hardly anything about the exit p")
