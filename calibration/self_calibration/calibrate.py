@@ -13,7 +13,7 @@ from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
-from calibration.self_calibration.rivals import Rival, better_rival, find_rivals
+from calibration.self_calibration.rivals import Rival, better_rival, find_rivals, fits_better
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
@@ -29,6 +29,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
 HEADING_STEPS = 5
+ADOPTIONS_MAX = 4  # times that a better solution takes the place of the best one
 LINE_SIGMA_SURE_M = 5e-4  # [m] noise with which what stays free is refused before any more is done
 PREDICTED_SIGMA_MAX_M = 0.05  # [m] sigma above which predicting a known position tells nothing
 
@@ -70,10 +71,15 @@ def calibrate_motor_angles(
     settled = settle(problem, first[0], settings)
     frame = _frame(problem, settled.fit, settled.trust)
     rivals = find_rivals(problem, settled, frame, first[1:])
-    better = better_rival(problem, settled, rivals)
-    if better is not None:
-        others = [*first[1:], settled.fit]
-        settled = settle(problem, better.fit, settings)
+    others = first[1:]
+    for _ in range(ADOPTIONS_MAX):
+        better = better_rival(problem, settled, rivals)
+        if better is None:
+            break
+        other = settle(problem, better.fit, settings)
+        if better.better and not fits_better(other, settled):
+            break
+        others, settled = [*others, settled.fit], other
         frame = _frame(problem, settled.fit, settled.trust)
         rivals = find_rivals(problem, settled, frame, others)
     check_reference(problem, settled.trust)

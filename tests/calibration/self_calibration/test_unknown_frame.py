@@ -11,8 +11,11 @@ from scipy.stats import chi2
 
 from benchmarks.unknown_robots import draw_unknown_robot
 from calibration.observability import Unobservable
+from calibration.self_calibration import calibrate
 from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.rivals import rival_warning
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_rotation_vector
@@ -493,3 +496,27 @@ def test_samples_that_teach_nothing_about_known_exit_points_are_a_warning(spread
     warnings = calibrate_motor_angles(angles, robot, settings).warnings
     assert teaches == (warnings == ())
     assert teaches or warnings[0].startswith("the samples teach hardly anything about the exit p")
+
+
+def test_another_solution_that_fits_better_takes_the_place_of_the_best_one(monkeypatch):
+    before, _, _, angles = scene(6, 40, known=())
+    expected = calibrate_motor_angles(angles, before)
+
+    def worst_first(problem):
+        return starts(problem)[::-1]
+
+    monkeypatch.setattr(calibrate, "starts", worst_first)
+    result = calibrate_motor_angles(angles, before)
+    assert exits(result) == pytest.approx(exits(expected), abs=2e-3)
+    assert all(rival.cost > 0.0 for rival in result.rivals)
+
+
+def test_a_rival_says_whether_it_fits_better_or_worse():
+    before, _, _, angles = scene(6, 40, known=())
+    rival = calibrate_motor_angles(angles, before).rivals[0]
+    assert "almost as well (2.0 squared standard deviations worse)" in rival_warning(
+        replace(rival, cost=2.0)
+    )
+    assert "as well (0.5 squared standard deviations better)" in rival_warning(
+        replace(rival, cost=-0.5)
+    )
