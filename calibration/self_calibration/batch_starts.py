@@ -48,15 +48,18 @@ class Starts:
     cost: Array
 
 
-def batch_starts(problem: MotorAngleProblem, rng: np.random.Generator) -> Starts:
+def batch_starts(
+    problem: MotorAngleProblem, rng: np.random.Generator, count: int = STARTS
+) -> Starts:
     """Fit from many starts at once.
 
     Args:
         problem: The samples.
         rng: Generator of the starts.
+        count: How many.
     """
     batch = _Batch(problem, _chosen(problem))
-    shared = _drawn(problem, rng)
+    shared = _drawn(problem, rng, count)
     position = batch.placed(shared)
     cost = np.zeros(len(shared))
     for share, steps in STAGES:
@@ -75,7 +78,7 @@ def _chosen(problem: MotorAngleProblem) -> NDArray[np.intp]:
     return np.asarray(rows if count > SAMPLES_MAX else np.arange(count), dtype=np.intp)
 
 
-def _drawn(problem: MotorAngleProblem, rng: np.random.Generator) -> Array:
+def _drawn(problem: MotorAngleProblem, rng: np.random.Generator, count: int) -> Array:
     """Draw shared unknowns from the prior, the first at its mean, some mirrored, (K, m).
 
     Distance from home and length at the reference are the same: where both were drawn, the mean
@@ -83,16 +86,16 @@ def _drawn(problem: MotorAngleProblem, rng: np.random.Generator) -> Array:
     """
     prior, home = problem.prior, problem.robot.home_position
     root = np.linalg.cholesky(prior.covariance / np.outer(prior.sigma, prior.sigma))
-    draw = rng.normal(size=(STARTS, problem.size)) @ root.T * prior.sigma
+    draw = rng.normal(size=(count, problem.size)) @ root.T * prior.sigma
     draw[0] = 0.0
     draw[:, [*problem.radii, *problem.buildups]] = 0.0
     shared = prior.mean + draw
     offset = problem.offsets + home
     ray = shared[:, problem.exits] - offset
-    normal = rng.normal(size=(STARTS, 1, 3))
+    normal = rng.normal(size=(count, 1, 3))
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
     mirrored = ray - 2.0 * (ray * normal).sum(axis=2, keepdims=True) * normal
-    flip = np.arange(STARTS) % MIRRORED_EVERY == MIRRORED_EVERY - 1
+    flip = np.arange(count) % MIRRORED_EVERY == MIRRORED_EVERY - 1
     ray = np.where(flip[:, None, None], mirrored, ray)
     distance = np.maximum(np.linalg.norm(ray, axis=2), 1e-9)
     by_exit = prior.sigma[problem.exits].mean(axis=1) ** 2
@@ -101,7 +104,7 @@ def _drawn(problem: MotorAngleProblem, rng: np.random.Generator) -> Array:
     length = np.maximum(length, 1e-3 * problem.longest)
     ray *= (length / distance)[:, :, None]
     shared[:, problem.zeros] = length
-    shared[:, problem.exits.ravel()] = (ray + offset).reshape(STARTS, -1)
+    shared[:, problem.exits.ravel()] = (ray + offset).reshape(count, -1)
     return shared
 
 

@@ -122,6 +122,18 @@ def settle(
     return SettledFit(fit=solution, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
 
 
+def cautious(problem: MotorAngleProblem, settled: SettledFit) -> Trust:
+    """Return the data with the noise that makes covariances right where it was estimated.
+
+    With an estimated noise, errors have a t distribution of as many freedoms as there are lengths
+    to spare, whose variance is larger than that of a normal one.
+    """
+    trust, freedoms = settled.trust, settled.redundancy
+    if problem.settings.line_sigma is not None or freedoms <= 2.0:
+        return trust
+    return replace(trust, line_sigma=trust.line_sigma * np.sqrt(freedoms / (freedoms - 2.0)))
+
+
 def _placed(
     problem: MotorAngleProblem, solution: SampleFit, soft: SampleFit, trust: Trust
 ) -> SampleFit:

@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.estimate import ParameterEstimate
-from calibration.self_calibration.blunder_tests import SettledFit, settle
+from calibration.self_calibration.blunder_tests import SettledFit, cautious, settle
+from calibration.self_calibration.contradictions import contradictions
 from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
-from calibration.self_calibration.rivals import Rival, better_rival, find_rivals
+from calibration.self_calibration.rivals import Rival, better_rival, find_rivals, fits_better
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
 from calibration.self_calibration.starting_points import starts
+from calibration.self_calibration.suspects import suspects
 from calibration.self_calibration.verdict import (
     check_determined,
     check_reference,
@@ -27,6 +29,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
 HEADING_STEPS = 5
+ADOPTIONS_MAX = 4  # times that a better solution takes the place of the best one
 LINE_SIGMA_SURE_M = 5e-4  # [m] noise with which what stays free is refused before any more is done
 PREDICTED_SIGMA_MAX_M = 0.05  # [m] sigma above which predicting a known position tells nothing
 
@@ -68,10 +71,15 @@ def calibrate_motor_angles(
     settled = settle(problem, first[0], settings)
     frame = _frame(problem, settled.fit, settled.trust)
     rivals = find_rivals(problem, settled, frame, first[1:])
-    better = better_rival(problem, settled, rivals)
-    if better is not None:
-        others = [*first[1:], settled.fit]
-        settled = settle(problem, better.fit, settings)
+    others = first[1:]
+    for _ in range(ADOPTIONS_MAX):
+        better = better_rival(problem, settled, rivals)
+        if better is None:
+            break
+        other = settle(problem, better.fit, settings)
+        if better.better and not fits_better(other, settled):
+            break
+        others, settled = [*others, settled.fit], other
         frame = _frame(problem, settled.fit, settled.trust)
         rivals = find_rivals(problem, settled, frame, others)
     check_reference(problem, settled.trust)
@@ -121,13 +129,14 @@ def _result(
     """Put everything together."""
     angles, trust = problem.angles, settled.trust
     shared, position = settled.fit.shared, settled.fit.position
-    system = equations(problem, shared, position, _cautious(problem, settled))
+    system = equations(problem, shared, position, cautious(problem, settled))
     lost = ~trust.lengths & ~trust.known
     covariance = frame.covariance(system.information)
     place = position[:, :3]
     slope = frame.position_slope(system.by_shared[:, :3], place)
     spread = system.position_covariance[:, :3, :3] + slope @ covariance @ slope.swapaxes(1, 2)
     each = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    scale = find_scale(problem, shared, covariance, trust)
     return SelfCalibration(
         before=problem.robot,
         estimate=_parameters(problem, shared, covariance),
@@ -148,25 +157,17 @@ def _result(
         blunders=_blunders(problem, settled),
         left_out=_left_out(problem, settled),
         frame=frame,
-        scale=find_scale(problem, shared, covariance, trust),
+        scale=scale,
         rivals=tuple(rivals),
         observability=problem.prior.judge(
             frame.held(system.information - problem.prior.information)
         ),
-        warnings=warnings_of(problem, settled, rivals, covariance),
+        warnings=(
+            *warnings_of(problem, settled, rivals, frame, covariance),
+            *contradictions(problem, settled, frame, scale),
+            *suspects(problem, settled),
+        ),
     )
-
-
-def _cautious(problem: MotorAngleProblem, settled: SettledFit) -> Trust:
-    """Return the data with the noise that makes covariances right where it was estimated.
-
-    With an estimated noise, errors have a t distribution of as many freedoms as there are lengths
-    to spare, whose variance is larger than that of a normal one.
-    """
-    trust, freedoms = settled.trust, settled.redundancy
-    if problem.settings.line_sigma is not None or freedoms <= 2.0:
-        return trust
-    return replace(trust, line_sigma=trust.line_sigma * np.sqrt(freedoms / (freedoms - 2.0)))
 
 
 def _parameters(
@@ -226,7 +227,7 @@ def _blunders(problem: MotorAngleProblem, settled: SettledFit) -> tuple[SampleBl
 
 def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut, ...]:
     """Predict each known position from everything else."""
-    trust, angles, left_out = _cautious(problem, settled), problem.angles, []
+    trust, angles, left_out = cautious(problem, settled), problem.angles, []
     for k in np.flatnonzero(trust.known & trust.lengths & angles.is_known):
         axes = angles.coordinates_known[k]
         known = trust.known.copy()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.self_calibration.hangprinter_logs import is_log, parse_log
+from calibration.self_calibration.hangprinter_logs import is_log, parse_log, tells_nothing
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
@@ -41,7 +41,7 @@ def holds_motor_angles(path: Path) -> bool:
     try:
         with path.open(encoding="utf-8-sig") as stream:
             for line in stream:
-                if line.strip() and not line.startswith("#"):
+                if not tells_nothing(line):
                     return is_log(line) or any(
                         _MOTOR_COLUMN.fullmatch(cell.strip()) for cell in line.split(",")
                     )

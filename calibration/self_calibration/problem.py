@@ -39,6 +39,7 @@ POSITION_PRIOR_FACTOR = (
     20.0  # times the longest cable: one standard deviation of a position before any data
 )
 TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
+FORGOTTEN_SIGMAS = 5.0  # factor of the sigmas of a prior that is left out: far, but no collapse
 Rows = slice | NDArray[np.intp]
 
 
@@ -183,6 +184,38 @@ class MotorAngleProblem:
         new = shared.copy()
         new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
         return new
+
+    def without(
+        self,
+        *,
+        places: NDArray[np.intp] | None = None,
+        distance: int | None = None,
+        cable: int | None = None,
+    ) -> MotorAngleProblem:
+        """Return the same as if some of what was known or measured were not.
+
+        Args:
+            places: Of shared unknowns whose prior is left out, but for `FORGOTTEN_SIGMAS`.
+            distance: Number of the measured distance that is left out.
+            cable: Number of the cable whose motor angles are left out: their noise is as large as
+                the longest cable.
+        """
+        other = copy(self)
+        if places is not None:
+            scale = np.ones(self.size)
+            scale[places] = FORGOTTEN_SIGMAS
+            covariance = self.prior.covariance * np.outer(scale, scale)
+            other.prior = replace(self.prior, covariance=covariance)
+        if distance is not None:
+            kept = [k for k in range(len(self._ends)) if k != distance]
+            distances = tuple(self.settings.distances[k] for k in kept)
+            other.settings = replace(self.settings, distances=distances)
+            other._ends = [self._ends[k] for k in kept]
+        if cable is not None:
+            noise = np.broadcast_to(self._friction_noise, self.angles.motor_angle.shape).copy()
+            noise[:, cable] = self.longest
+            other._friction_noise = noise
+        return other
 
     def line_noise(self, line_sigma: float) -> Array:
         """Return one standard deviation of the line by noise and friction [m], shape (N, n)."""

@@ -201,6 +201,6 @@ class SelfCalibration(CalibrationResult):
             ", and has positions outside of the workspace" if rival.outside > OUTSIDE_SHARE else ""
         )
         return [
-            f"the best other solution, {kind}, is {rival.cost:.3g} squared standard deviations "
-            f"worse{end}"
+            f"the best other solution, {kind}, is {abs(rival.cost):.3g} squared standard "
+            f"deviations {'worse' if rival.cost >= 0.0 else 'better'}{end}"
         ]

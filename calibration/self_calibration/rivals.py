@@ -14,6 +14,7 @@ from carosac_toolkit.base.arrays import Array
 
 SAME_EXIT_SHARE = 0.05  # of the longest cable: solutions with exit points that close are the same
 RIVAL_COST_MAX = 13.8  # squared standard deviations: another solution that is less worse is as good
+BETTER_COST_MIN = 1.0  # squared standard deviations: another solution that is that much better wins
 RIVAL_STEPS_MAX = 30
 MIRROR_SHARE = 0.02  # of the longest cable: mirrored exit points agree that well
 OUTSIDE_SHARE = 0.03  # of the workspace's diagonal: positions that far out of it, RMS, are outside
@@ -41,6 +42,18 @@ class Rival:
     def as_good(self) -> bool:
         """Return whether the data and priors cannot tell it from the best one."""
         return self.cost < RIVAL_COST_MAX and not (self.mirrored and self.outside > OUTSIDE_SHARE)
+
+    @property
+    def better(self) -> bool:
+        """Return whether it fits clearly better than the best one, inside the workspace or not."""
+        return self.cost < -BETTER_COST_MIN
+
+    @property
+    def comparison(self) -> str:
+        """Say how well it fits beside the best one."""
+        if self.cost < 0.0:
+            return f"as well ({-self.cost:.1f} squared standard deviations better)"
+        return f"almost as well ({self.cost:.1f} squared standard deviations worse)"
 
 
 def find_rivals(
@@ -92,7 +105,12 @@ def _apart(problem: MotorAngleProblem, frame: Frame, other: SampleFit, points: A
 def better_rival(
     problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival]
 ) -> Rival | None:
-    """Return a mirror image that fits as well, in the workspace, if the best one is outside it."""
+    """Return a solution to adopt: one that fits better, or a mirror image in the workspace.
+
+    A mirror image that fits as well is better where the best one is outside the workspace.
+    """
+    if rivals and rivals[0].better:
+        return rivals[0]
     outside = _outside(problem, settled.fit, settled.trust)
     for rival in rivals:
         close = rival.mirrored and rival.cost < RIVAL_COST_MAX
@@ -101,19 +119,28 @@ def better_rival(
     return None
 
 
+def fits_better(one: SettledFit, other: SettledFit) -> bool:
+    """Return whether one solution fits more samples, or as many better, each with its own noise."""
+    used = [int(settled.trust.lengths.sum()) for settled in (one, other)]
+    misfit = [
+        settled.fit.cost + 2.0 * settled.redundancy * np.log(settled.trust.line_sigma)
+        for settled in (one, other)
+    ]
+    return used[0] > used[1] or (used[0] == used[1] and misfit[0] < misfit[1])
+
+
 def rival_warning(rival: Rival) -> str:
     """Describe another solution that is as good."""
     if rival.mirrored:
         return (
-            f"the mirror image fits almost as well ({rival.cost:.1f} squared standard deviations "
-            f"worse), with exit points up to {rival.distance:.2f} m elsewhere; exit points that "
-            "the robot file knows better, or a known position out of the plane of the others, "
-            "tell them apart"
+            f"the mirror image fits {rival.comparison}, with exit points up to "
+            f"{rival.distance:.2f} m elsewhere; exit points that the robot file knows better, or "
+            "a known position out of the plane of the others, tell them apart"
         )
     return (
-        f"another solution fits almost as well ({rival.cost:.1f} squared standard deviations "
-        f"worse), with exit points up to {rival.distance:.2f} m elsewhere; more samples, spread "
-        "over the whole workspace, or a known position tell them apart"
+        f"another solution fits {rival.comparison}, with exit points up to "
+        f"{rival.distance:.2f} m elsewhere; more samples, spread over the whole workspace, "
+        "or a known position tell them apart"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import Trust
@@ -49,20 +50,34 @@ def find_scale(problem: MotorAngleProblem, shared: Array, covariance: Array, tru
     grow[problem.exits] = problem.points(shared) - problem.robot.home_position
     spread = float(np.sqrt(grow @ covariance @ grow)) / float(grow @ grow)
     sigma, settings = problem.prior.sigma, problem.settings
-    places = np.unique(problem.radii)
-    radius = (problem.radius + shared[problem.radii])[
-        [int(np.flatnonzero(problem.radii == place)[0]) for place in places]
-    ]
     known = problem.angles.coordinates_known & trust.known[:, None]
     weight = known / problem.known_sigma[:, :3] ** 2
     place = problem.known_position[:, :3]
     middle = (weight * place).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
     information = {
         "measured distances": sum((d.length / d.sigma) ** 2 for d in settings.distances),
-        "lengths at home": ((shared[problem.zeros] / sigma[problem.zeros]) ** 2).sum(),
-        "drums": ((radius / sigma[places]) ** 2).sum(),
+        **{
+            name: ((value / sigma[places]) ** 2).sum()
+            for name, (places, value) in lengths_known(problem, shared).items()
+        },
         "exit points of the robot file": grow @ problem.prior.information @ grow,
         "known positions": (weight * (place - middle) ** 2).sum(),
     }
     sources = {name: float(value) ** -0.5 for name, value in information.items() if value > 0.0}
     return Scale(sigma=spread, sources=dict(sorted(sources.items(), key=lambda item: item[1])))
+
+
+def lengths_known(
+    problem: MotorAngleProblem, shared: Array
+) -> dict[str, tuple[NDArray[np.intp], Array]]:
+    """Return the groups of shared unknowns that tell the scale: their places, and lengths [m].
+
+    Args:
+        problem: The samples.
+        shared: Values of the shared unknowns, shape (m,).
+    """
+    places, first = np.unique(problem.radii, return_index=True)
+    return {
+        "lengths at home": (problem.zeros, shared[problem.zeros]),
+        "drums": (places, (problem.radius + shared[problem.radii])[first]),
+    }

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.robust import cauchy
-from calibration.self_calibration.batch_starts import batch_starts
+from calibration.self_calibration.batch_starts import STARTS, batch_starts
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
@@ -25,6 +25,7 @@ PLACES_KEPT = 3  # of one exit point that are kept
 PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
 COMBINATIONS_KEPT = 32  # combinations that are tried
 STARTS_KEPT = 4
+QUICK_STARTS = 8
 BATCH_STEPS_MAX = 30  # steps of a fit of all samples after the batch of starts
 SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
 GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
@@ -75,9 +76,14 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     return _different(problem, last)
 
 
-def _from_batch(problem: MotorAngleProblem) -> list[SampleFit]:
+def quick_start(problem: MotorAngleProblem) -> SampleFit:
+    """Return the best fit from a few starts, good enough to compare hypotheses."""
+    return _from_batch(problem, QUICK_STARTS)[0]
+
+
+def _from_batch(problem: MotorAngleProblem, count: int = STARTS) -> list[SampleFit]:
     """Fit everything from where the best starts of a batch ended."""
-    batch = batch_starts(problem, np.random.default_rng(0))
+    batch = batch_starts(problem, np.random.default_rng(0), count)
     trust = _all_data(problem)
     ends = []
     for k in range(len(batch.shared)):

@@ -14,6 +14,7 @@ from calibration.self_calibration.problem import POINT_LIKE_SHARE, MotorAnglePro
 from calibration.self_calibration.rivals import Rival, rival_warning
 from calibration.self_calibration.solver import SampleFit, Trust, equations
 from calibration.self_calibration.suggested_positions import most_informative
+from calibration.self_calibration.suspects import BLUNDER_SHARE_MAX
 from carosac_toolkit.base.arrays import Array
 
 LOOSE_EXIT_SHARE = (
@@ -21,8 +22,9 @@ LOOSE_EXIT_SHARE = (
 )
 NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
-BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
+LINE_NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
+TAUGHT_SHARE_MAX = 0.75  # of the exit points' sigma before: samples that leave more teach little
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
 FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
 
@@ -172,12 +174,20 @@ def _thin(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> str:
     )
 
 
-def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
-    """Explain why most samples do not fit each other; empty if they do."""
+def misfits(
+    problem: MotorAngleProblem, trust: Trust, noise_share: float = LINE_NOISE_SHARE_MAX
+) -> str:
+    """Explain why most samples do not fit each other; empty if they do.
+
+    Args:
+        problem: The samples.
+        trust: Noise and which data count.
+        noise_share: Of the longest cable: more noise of the line is no noise.
+    """
     out, count = int((~trust.lengths).sum()), len(trust.lengths)
     if out > BLUNDER_SHARE_MAX * count:
         what = f"the motor angles of {out} of {count} samples do not fit the others"
-    elif trust.line_sigma > LINE_NOISE_SHARE_MAX * problem.longest:
+    elif trust.line_sigma > noise_share * problem.longest:
         what = f"the motor angles of all samples fit only to {trust.line_sigma:.2g} m of line"
     else:
         return ""
@@ -188,18 +198,23 @@ def misfits(problem: MotorAngleProblem, trust: Trust) -> str:
 
 
 def warnings_of(
-    problem: MotorAngleProblem, settled: SettledFit, rivals: list[Rival], covariance: Array
+    problem: MotorAngleProblem,
+    settled: SettledFit,
+    rivals: list[Rival],
+    frame: Frame,
+    covariance: Array,
 ) -> tuple[str, ...]:
-    """Name rival solutions, many blunders, and what contradicts what was known before.
+    """Name rival solutions, many blunders, what taught nothing, and what contradicts the prior.
 
     Args:
         problem: The samples.
         settled: The fit.
         rivals: Other solutions.
+        frame: Of the result.
         covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [rival_warning(rival) for rival in rivals if rival.as_good][:1]
-    bad = misfits(problem, settled.trust)
+    bad = misfits(problem, settled.trust, LINE_NOISE_SHARE_USUAL)
     lines += [bad] if bad else []
     far = problem.prior.deviation(settled.fit.shared)
     k = int(np.argmax(far))
@@ -208,17 +223,16 @@ def warnings_of(
             f"{problem.prior.names[k]} is {far[k]:.1f} prior standard deviations from its prior: "
             "are cables swapped, or is the robot file wrong there?"
         )
-    miss, _ = problem.distances(settled.fit.shared)
-    for distance, error in zip(problem.settings.distances, miss, strict=True):
-        if abs(error) > PRIOR_SIGMAS_MAX * distance.sigma:
-            lines.append(
-                f"the distance {distance} comes out {1e3 * error:+.1f} mm longer than measured, "
-                f"{abs(error) / distance.sigma:.1f} standard deviations: is it between these "
-                "points, and right?"
-            )
     wanted = problem.settings.accuracy
     rows = problem.exits.ravel()
     expected = mean_distance(covariance[np.ix_(rows, rows)])
+    before = mean_distance(_untaught(problem, settled, frame)[np.ix_(rows, rows)])
+    if expected > TAUGHT_SHARE_MAX * before:
+        lines.append(
+            "the samples teach hardly anything about the exit points, which are known to "
+            f"{1e3 * before:.1f} mm without them and to {1e3 * expected:.1f} mm with them: samples "
+            "spread over the whole workspace are needed"
+        )
     if wanted is not None and expected > wanted:
         lines.append(
             f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
@@ -226,3 +240,13 @@ def warnings_of(
             + next_positions(problem, settled.fit.shared, covariance, settled.trust.line_sigma)
         )
     return tuple(lines)
+
+
+def _untaught(problem: MotorAngleProblem, settled: SettledFit, frame: Frame) -> Array:
+    """Return the covariance of the shared unknowns without all samples but the reference."""
+    reference = problem.reference
+    rows = np.arange(len(problem.angles.samples))
+    only = rows == reference.row if reference is not None else np.zeros_like(rows, dtype=np.bool_)
+    trust = replace(settled.trust, lengths=only)
+    system = equations(problem, settled.fit.shared, settled.fit.position, trust)
+    return frame.covariance(system.information)

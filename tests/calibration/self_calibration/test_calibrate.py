@@ -154,14 +154,23 @@ def test_a_wrong_sign_of_the_angles_is_refused():
         calibrate_motor_angles(replace(angles, motor_angle=-angles.motor_angle), before)
 
 
-def test_swapped_motors_are_noticed():
-    before, _, _, angles = scene(6)
-    result = calibrate_motor_angles(
-        replace(angles, motor_angle=angles.motor_angle[:, [0, 2, 1, 3]]), before
-    )
-    (warning,) = result.warnings
-    assert "prior standard deviations from its prior: are cables swapped" in warning
-    assert warning.startswith(("exit_points[b]", "exit_points[c]"))
+@pytest.mark.parametrize(
+    ("order", "known", "line"),
+    [([0, 2, 1, 3], KNOWN, None), ([1, 0, 2, 3], (), None), ([0, 2, 1, 3], (), 1e-3)],
+)
+def test_swapped_motors_are_named(order, known, line):
+    before, _, _, angles = scene(6, 40, known=known)
+    settings = SelfCalibrationSettings(line_sigma=line)
+    swapped = replace(angles, motor_angle=angles.motor_angle[:, order])
+    first, second = (before.cable_names[k] for k in range(4) if order[k] != k)
+    warnings = calibrate_motor_angles(swapped, before, settings).warnings
+    assert any(f"with the motors {first} and {second} exchanged" in line for line in warnings)
+
+
+def test_much_noise_of_the_line_is_a_warning_without_suspects():
+    before, _, _, angles = scene(8, 40, noise=MeasurementNoise(line=8e-3))
+    (warning,) = calibrate_motor_angles(angles, before).warnings
+    assert "fit only to 0.00" in warning
 
 
 def test_a_known_position_is_predicted_without_itself():

@@ -201,3 +201,28 @@ def test_faults_of_a_log_come_with_their_lines(tmp_path):
     )
     more = "motor_pos_samp = [[1, 2]]\nxyz_of_samp = [[1, 2, 3], [4, 5, 6]]\n"
     assert faults(tmp_path, more)[0].startswith("xyz_of_samp: got 2 lists; allowed: at most 1")
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ("[9, 8, 7", "line 3: got '[9, 8, 7'; allowed: complete lists, such as"),
+        ("9, 8, 7],", "line 3: got '9, 8, 7],'; allowed: complete lists, such as"),
+        ("9, 8, 7", "line 3: got '9, 8, 7'; allowed: complete lists, such as"),
+        ("Error: M569.3: timeout", "line 3: got 'Error: M569.3: timeout'; allowed: complete"),
+        ("[9,, 8, 7]", "line 3: got ''; allowed: a number"),
+        ("force_samp = [[5, 5, 5]]", "line 3: got the array 'force_samp'; allowed: motor_pos_samp"),
+    ],
+)
+def test_no_line_of_a_log_is_passed_over_or_made_up(tmp_path, line, fault):
+    found = faults(tmp_path, f"[0, 0, 0]\n[1, 2, 3]\n{line}\n[4, 5, 6]\n")
+    assert found[0].startswith(fault)
+
+
+def test_comments_imports_and_questions_in_a_log_are_no_samples(tmp_path):
+    text = LOG.replace("    [9, 8, 7],", "    [9, 8, 7],  # [1, 1, 1]\n    # [2, 2, 2],")
+    angles = loaded(tmp_path, f"import numpy as np\n{text}")
+    assert np.degrees(angles.motor_angle)[2:] == pytest.approx(np.array([[9.0, 8.0, 7.0]]))
+    assert holds_motor_angles(tmp_path / "angles.csv")
+    asked = loaded(tmp_path, "M569.3 P40.0:41.0\n[0, 0]\nM569.3 P40.0:41.0\n[1, 2]\n")
+    assert np.degrees(asked.motor_angle) == pytest.approx(np.array([[0.0, 0.0], [1.0, 2.0]]))

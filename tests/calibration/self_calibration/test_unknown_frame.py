@@ -9,9 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from benchmarks.unknown_robots import draw_unknown_robot
 from calibration.observability import Unobservable
+from calibration.self_calibration import calibrate
 from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.rivals import rival_warning
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_rotation_vector
@@ -284,7 +288,40 @@ def test_a_wrong_distance_is_noticed():
         Distance(first="a", second="b", length=SPAN + 0.02, sigma=1e-3),
     )
     result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(distances=both))
-    assert any("10.0 standard deviations: is it between" in line for line in result.warnings)
+    assert len(result.warnings) == 2
+    for line in result.warnings:
+        assert "m) by everything else, 14." in line and "standard deviations off: is it be" in line
+
+
+@pytest.mark.parametrize(
+    ("change", "source"),
+    [
+        ({}, "lengths at home"),
+        ({"length_at_zero_sigma": 0.3, "drum_radius_sigma": 1e-3}, "drums"),
+    ],
+)
+def test_one_wrong_distance_is_contradicted_by_the_other_sources_of_the_scale(change, source):
+    before, _, _, angles = scene(50, 40, known=())
+    wrong = replace(TAPE, length=1.05 * SPAN, sigma=1e-3)
+    settings = SelfCalibrationSettings(distances=(wrong,), **change)
+    found = calibrate_motor_angles(angles, before, settings).warnings
+    (warning,) = [line for line in found if line.startswith("the distance a to b is")]
+    got, predicted = (float(value) for value in re.findall(r"([\d.]+) m (?:as|\()", warning)[:2])
+    assert got == pytest.approx(1.05 * SPAN, abs=1e-3)
+    assert predicted == pytest.approx(SPAN, rel=0.02)
+    assert f"by the {source}, " in warning
+
+
+def test_lengths_at_home_and_drums_of_different_scales_are_named():
+    before, _, _, angles = scene(50, 40, known=())
+    wrong = replace(before, drum_radius=1.1 * before.drum_radius)
+    settings = SelfCalibrationSettings(drum_radius_sigma=1e-3)
+    (warning,) = [
+        line for line in calibrate_motor_angles(angles, wrong, settings).warnings
+        if line.startswith("the set-up is")
+    ]  # fmt: skip
+    assert "% smaller by the lengths at home than by the drums, " in warning
+    assert calibrate_motor_angles(angles, before, settings).warnings == ()
 
 
 def test_samples_that_are_named_help_more_than_samples_at_home():
@@ -432,3 +469,54 @@ def test_a_platform_that_turns_is_refused_with_what_helps():
     assert "AHRS, swivel angles or load cells" in str(one.value)
     held = SelfCalibrationSettings(keeps_rotation=True)
     assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+
+
+def test_a_cable_that_is_mostly_slack_is_named():
+    case = draw_unknown_robot(np.random.default_rng([77, 1]), cables=5)
+    assert calibrate_motor_angles(case.angles, case.before, case.settings).warnings == ()
+    angle = case.angles.motor_angle.copy()
+    slack = np.random.default_rng(1).uniform(0.003, 0.03, len(angle) - 1) * case.size / 3.0
+    angle[1:, 4] += slack / 0.05 * case.before.drum_gear[4]
+    result = calibrate_motor_angles(
+        replace(case.angles, motor_angle=angle), case.before, case.settings
+    )
+    assert any("without cable e the line fits to 0." in line for line in result.warnings)
+
+
+@pytest.mark.parametrize(("spread", "teaches"), [(1.0, True), (0.0, False)])
+def test_samples_that_teach_nothing_about_known_exit_points_are_a_warning(spread, teaches):
+    _, truth, place, _ = scene(50, 40, known=())
+    rng = np.random.default_rng(0)
+    angles = measure_motor_angles(
+        truth, spread * place, np.arange(0), MeasurementNoise(line=1e-3), rng
+    )
+    guess = truth.exit_points + rng.normal(0.0, 0.05, (4, 3))
+    robot = loose(replace(truth, exit_points=guess), 0.05)
+    settings = SelfCalibrationSettings(length_at_zero_sigma=0.05)
+    warnings = calibrate_motor_angles(angles, robot, settings).warnings
+    assert teaches == (warnings == ())
+    assert teaches or warnings[0].startswith("the samples teach hardly anything about the exit p")
+
+
+def test_another_solution_that_fits_better_takes_the_place_of_the_best_one(monkeypatch):
+    before, _, _, angles = scene(6, 40, known=())
+    expected = calibrate_motor_angles(angles, before)
+
+    def worst_first(problem):
+        return starts(problem)[::-1]
+
+    monkeypatch.setattr(calibrate, "starts", worst_first)
+    result = calibrate_motor_angles(angles, before)
+    assert exits(result) == pytest.approx(exits(expected), abs=2e-3)
+    assert all(rival.cost > 0.0 for rival in result.rivals)
+
+
+def test_a_rival_says_whether_it_fits_better_or_worse():
+    before, _, _, angles = scene(6, 40, known=())
+    rival = calibrate_motor_angles(angles, before).rivals[0]
+    assert "almost as well (2.0 squared standard deviations worse)" in rival_warning(
+        replace(rival, cost=2.0)
+    )
+    assert "as well (0.5 squared standard deviations better)" in rival_warning(
+        replace(rival, cost=-0.5)
+    )

@@ -1,0 +1,97 @@
+"""What may be behind much noise of the line: two motors exchanged, or one cable that is slack."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from calibration.self_calibration.blunder_tests import LINE_SIGMA_MIN_M, SettledFit, settle
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import SampleFit
+from calibration.self_calibration.starting_points import quick_start
+from carosac_toolkit.base.errors import CarosacError
+
+SUSPICIOUS_NOISE_SHARE = 5e-4  # of the longest cable: noise of the line up to that is usual
+BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
+NOISE_RATIO_MAX = 1.0 / 3.0  # of the noise: an explanation that leaves less is clearly better
+PRIOR_COST_MAX = 9.0  # for each shared unknown: three standard deviations from its prior
+
+
+def suspects(problem: MotorAngleProblem, settled: SettledFit) -> tuple[str, ...]:
+    """Name exchanged motors, or a cable that carries the noise, if one of these fits far better.
+
+    Args:
+        problem: The samples.
+        settled: The fit.
+    """
+    many = (~settled.trust.lengths).mean() > BLUNDER_SHARE_MAX
+    noise = settled.trust.line_sigma
+    if problem.settings.line_sigma is not None:
+        noise = _noise(problem, settled.fit)
+    if not many and noise <= SUSPICIOUS_NOISE_SHARE * problem.longest:
+        return ()
+    enough = np.inf if many else NOISE_RATIO_MAX * noise
+    return (*_exchanged(problem, noise, enough), *_one_cable(problem, settled, noise, enough))
+
+
+def _exchanged(problem: MotorAngleProblem, noise: float, enough: float) -> list[str]:
+    """Name the two motors that fit far better exchanged."""
+    found = []
+    for pair in combinations(range(problem.robot.n), 2):
+        order = np.arange(problem.robot.n)
+        order[list(pair)] = pair[::-1]
+        angles, tension = problem.angles, problem.angles.tension
+        exchanged = replace(
+            angles,
+            motor_angle=angles.motor_angle[:, order],
+            tension=None if tension is None else tension[:, order],
+        )
+        other = MotorAngleProblem(problem.robot, exchanged, problem.settings)
+        found.append((_noise(other, quick_start(other)), pair))
+    left, (first, second) = min(found)
+    if left >= min(enough, noise):
+        return []
+    names = problem.robot.cable_names
+    return [
+        f"with the motors {names[first]} and {names[second]} exchanged the line fits to "
+        f"{1e3 * left:.2g} mm instead of {1e3 * noise:.2g} mm: are these two swapped?"
+    ]
+
+
+def _one_cable(
+    problem: MotorAngleProblem, settled: SettledFit, noise: float, enough: float
+) -> list[str]:
+    """Name the cable without which the others fit far better."""
+    spare = problem.robot.n - problem.own
+    if spare < 2:
+        return []
+    # The cable that is left out has no misfit, but counts as one length to spare.
+    share = float(np.sqrt(spare / (spare - 1.0)))
+    left = [
+        share * _noise(problem.without(cable=cable), settled.fit)
+        for cable in range(problem.robot.n)
+    ]
+    worst = int(np.argmin(left))
+    if left[worst] >= min(enough, noise):
+        return []
+    return [
+        f"without cable {problem.robot.cable_names[worst]} the line fits to "
+        f"{1e3 * left[worst]:.2g} mm instead of {1e3 * noise:.2g} mm: is this cable slack, off a "
+        "pulley, or unevenly wound?"
+    ]
+
+
+def _noise(problem: MotorAngleProblem, start: SampleFit) -> float:
+    """Return the noise of the line that a fit leaves [m].
+
+    It is infinite if the fit leaves many samples out, or shrinks everything to a point.
+    """
+    try:
+        found = settle(problem, start, replace(problem.settings, line_sigma=None))
+    except CarosacError:
+        return float("inf")
+    line, out = found.trust.line_sigma, float((~found.trust.lengths).mean())
+    far = problem.before(found.fit.shared).cost > PRIOR_COST_MAX * problem.size
+    return float("inf") if far or line <= LINE_SIGMA_MIN_M or out > BLUNDER_SHARE_MAX else line
