@@ -12,6 +12,7 @@ from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
+from calibration.self_calibration.rigid_motions import around, independent
 from calibration.self_calibration.rivals import Rival, better_rival, find_rivals
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
@@ -57,10 +58,11 @@ def calibrate_motor_angles(
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)
     check_rotation(problem)
-    first = starts(problem)
+    first = starts(independent(problem))
     everything = np.ones(len(angles.samples), dtype=np.bool_)
     line = settings.line_sigma or LINE_SIGMA_SURE_M
     rough = Trust(line_sigma=line, lengths=everything, known=problem.is_known, robust=False)
+    problem = around(problem, first[0].shared, _frame(problem, first[0], rough).free)
     frame = _frame(problem, first[0], rough)
     check_determined(problem, first[0], rough, frame)
     before = problem.points(problem.prior.mean)

@@ -70,6 +70,7 @@ class MotorAngleProblem:
 
     Attributes:
         prior: Of the shared unknowns, m of them.
+        file_prior: The same as the robot file has it.
         exits: Places of the exit points among them, shape (n, 3).
         radii: Place of each cable's radius error, shape (n,).
         buildups: Place of its build-up, shape (n,).
@@ -119,6 +120,7 @@ class MotorAngleProblem:
         )
         self.exits, self.radii, self.buildups = places.exits, places.radii, places.buildups
         self.zeros, self.compliances, self.prior = places.zeros, places.compliances, places.prior
+        self.file_prior = self.prior
         spread = angles.known_sigma
         self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))

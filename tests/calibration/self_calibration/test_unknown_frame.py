@@ -10,11 +10,18 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calibration.observability import Unobservable
+from calibration.robot_update import prior_covariance
 from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
-from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
+from calibration.self_calibration.synthetic import (
+    MeasurementNoise,
+    draw_robot,
+    measure_motor_angles,
+)
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_rotation_vector
+from carosac_toolkit.robot.file import parse_robot, robot_text
+from carosac_toolkit.robot.writer import robot_document
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
 from tests.calibration.self_calibration.test_calibrate import SILENT, exits
 from tests.robots import eight_cable_robot
@@ -126,6 +133,51 @@ def test_sigmas_without_known_positions_are_honest():
     low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
     assert low < sum(squares) < high
     assert 0.5 < np.mean(places) < 1.7
+
+
+def test_a_robot_without_known_positions_calibrates_again_in_any_frame():
+    squares = []
+    for seed in (21, 22):
+        before, truth, place, angles = scene(seed, 40, known=())
+        turn = Rotation.from_rotvec([0.2, -0.3, 0.5]).as_matrix()  # another W than that of truth
+        points = (before.exit_points - before.anchor_points) @ turn.T + before.anchor_points
+        tape = SelfCalibrationSettings(distances=(replace(TAPE, sigma=1e-3),))
+        first = calibrate_motor_angles(angles, replace(before, exit_points=points), tape)
+        assert np.linalg.eigvalsh(first.estimate.covariance[:12, :12])[2] < 1e-12
+        once = parse_robot(robot_document(robot_text("hangprinter"), first.robot, provenance="-"))
+        rng = np.random.default_rng(seed)
+        noise = MeasurementNoise()
+        more = measure_motor_angles(truth, place, np.arange(0), noise, rng)
+        second = calibrate_motor_angles(more, once)
+        assert second.warnings == () and second.frame.free.shape[1] == 3
+        squares.append(frame_nees(second, truth))
+        assert second.estimate.sigma[:12].max() < 0.01
+        for robot in (once, second.robot):
+            known = measure_motor_angles(truth, place, np.arange(6), noise, rng)
+            result = calibrate_motor_angles(known, robot)
+            assert result.warnings == () and result.blunders == ()
+            error = exits(result) - truth.exit_points
+            assert np.abs(error).max() < 0.01
+            assert np.abs(error.ravel() / result.estimate.sigma[:12]).max() < 4.0
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_drawn_robots_may_be_those_of_a_file_without_known_positions():
+    before, _, _, angles = scene(23, 40, known=())
+    result = calibrate_motor_angles(angles, before)
+    settings = SelfCalibrationSettings()
+    drawn = draw_robot(result.robot, np.random.default_rng(0), settings).exit_points
+    assert np.abs(drawn - result.robot.exit_points).max() < 2.0
+    names = result.estimate.names[:12]
+    known = prior_covariance(result.robot, names, np.ones(12))
+    assert np.linalg.eigvalsh(known)[0] > 0.0
+    # each free turn is as uncertain as the prior was
+    ray = result.robot.exit_points - before.anchor_points - before.home_position
+    about_z = np.cross([0.0, 0.0, 1.0], ray).ravel()
+    assert about_z @ np.linalg.solve(known, about_z) == pytest.approx(
+        about_z @ about_z / 0.5**2, rel=0.01
+    )
 
 
 def test_the_frame_of_convention_is_told():
