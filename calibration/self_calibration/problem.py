@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.linear_samples import LinearSamples
+from calibration.observability import Unobservable
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
 from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
@@ -60,9 +61,9 @@ class Before:
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
-    A platform whose cables end apart turns as it moves. Where known positions do not settle its
-    place, and lengths are to spare for it, so its rotation is unknown as well: the position of each
-    sample is followed by a rotation vector, from home's rotation [rad].
+    A platform whose cables end apart turns as it moves. Where lengths are to spare for it, its
+    rotation is unknown as well: the position of each sample is followed by a rotation vector, from
+    home's rotation [rad].
 
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
     for each group of alike drums, the lengths at the reference (n), and, where tensions are
@@ -181,7 +182,7 @@ class MotorAngleProblem:
 
     def turned_values(self, rotation: Array, shared: Array) -> Array:
         """Return shared unknowns (m,) with the exit points turned about home."""
-        center = self.robot.home_position + self.offsets
+        center = self.robot.home_position + self._not_turning
         new = shared.copy()
         new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
         return new
@@ -217,16 +218,26 @@ class MotorAngleProblem:
         return miss, slope
 
     def points(self, shared: Array) -> Array:
-        """Return the exit points less the anchor points at home's rotation [m], shape (n, 3).
+        """Return points in W [m], shape (n, 3): turning them and the positions changes no length.
 
-        Turning these and the positions alike changes no length.
+        They are the exit points, less the anchor points at home's rotation where that is kept.
         """
-        return np.asarray(shared[self.exits] - self.offsets)
+        return np.asarray(shared[self.exits] - self._not_turning)
 
     @property
     def offsets(self) -> Array:
         """Anchor points at home's rotation, from the platform's origin [m], shape (n, 3)."""
         return np.asarray(self.robot.anchor_points @ self.robot.home_rotation.T)
+
+    @property
+    def _not_turning(self) -> Array:
+        """Part of the exit points that stays as everything turns [m], shape (n, 3)."""
+        return self.offsets if self.own == 3 else np.zeros_like(self.offsets)
+
+    @property
+    def spread(self) -> float:
+        """Largest distance between the ends of two cables on the platform [m]."""
+        return float(np.linalg.norm(self.offsets[:, None] - self.offsets, axis=2).max())
 
     def _place(self, end: int | None, shared: Array) -> Array:
         """Return an end of a distance [m], shape (3,): an exit point, or home."""
@@ -255,10 +266,23 @@ class MotorAngleProblem:
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
-        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m)."""
+        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m).
+
+        Raises:
+            Unobservable: There is no such radius.
+        """
         radius = self.radius + shared[self.radii]
         buildup, length = shared[self.buildups], shared[self.zeros]
-        empty_radius = np.sqrt(radius**2 + self.advantage * buildup * length)
+        square = radius**2 + self.advantage * buildup * length
+        if not (square > 0.0).all():
+            i = int(np.argmin(square))
+            raise Unobservable(
+                f"the drum of {self.robot.cable_names[i]} comes out impossible: with a radius of "
+                f"{radius[i]:g} m where {length[i]:g} m are out and a build-up of {buildup[i]:g} m "
+                "it has no radius with all line wound in. Allowed: motors whose order, sign and "
+                "gear are those of the robot file, more samples, or drums that are known better"
+            )
+        empty_radius = np.sqrt(square)
         slope = np.zeros((len(empty_radius), self.size))
         rows = np.arange(len(empty_radius))
         slope[rows, self.radii] = radius / empty_radius
@@ -334,12 +358,8 @@ class MotorAngleProblem:
 
     def _set_own(self) -> None:
         """Decide whether the rotation of each sample is unknown."""
-        offsets = self.offsets
-        apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
         self.keeps_rotation = (
-            self.settings.keeps_rotation
-            or self.angles.spans_plane
-            or apart < POINT_LIKE_SHARE * self.longest
+            self.settings.keeps_rotation or self.spread < POINT_LIKE_SHARE * self.longest
         )
         self.own = 3 if self.keeps_rotation or self.robot.n <= 6 else 6
         far = POSITION_PRIOR_FACTOR * self.longest

@@ -60,8 +60,8 @@ class SelfCalibrationSettings:
             home, where nothing that was measured tells the heading; None: the exit points of the
             robot file tell it.
         keeps_rotation: True if the platform is built to keep its rotation from home, though its
-            cables end apart from each other. Without known positions a platform whose cables end
-            apart is refused otherwise.
+            cables end apart from each other. With up to six cables, such a platform is refused
+            otherwise.
         accuracy: Wanted standard deviation of the exit points, the mean of their distances from
             the truth [m]; None: nothing is wanted.
         known_sigma: Of known positions per axis, where the file says nothing [m], shape (3,).

@@ -3,7 +3,8 @@
 The distances from an exit point to three known positions or more leave a few places for it: two
 where they lie in a plane, mirrored. The cables' places are combined, every position is looked up on
 a grid in the workspace, and a robust fit of everything says which combination is right. With fewer
-known positions everything is fitted from many drawn starts (`batch_starts`).
+known positions, or a platform that turns, everything is fitted from many drawn starts
+(`batch_starts`).
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     Returns:
         Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
-    if not problem.angles.spans_plane:
+    if problem.own == 6 or not problem.angles.spans_plane:
         return _from_batch(problem)
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from calibration.observability import Unobservable
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from calibration.self_calibration.synthetic import (
     MeasurementNoise,
@@ -473,8 +474,31 @@ def test_eight_cables_tell_the_rotations_of_a_platform_too():
     assert low < sum(squares) < high
 
 
-def test_a_platform_that_turns_is_refused_with_what_helps():
-    before, _, _, angles = scene(19, 40, known=())
+@pytest.mark.parametrize("known", [[5], [5, 9, 20], [0, 3, 7, 11, 20, 31]])
+def test_known_positions_do_not_stop_a_platform_from_turning(known):
+    before, truth, place, rotation, angles = rigid_scene(0)
+    is_known = np.isin(np.arange(len(place)), known)
+    there = np.where(is_known[:, None], place, 0.0)
+    angles = replace(angles, is_known=is_known, known_position=there)
+    span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
+    tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
+    settings = SelfCalibrationSettings(length_at_zero_sigma=0.1, distances=(tape,))
+    result = calibrate_motor_angles(angles, before, settings)
+    assert result.warnings == ()
+    assert result.frame.free.shape[1] == (3 if len(known) == 1 else 0)
+    found = result.estimate.value[:24].reshape(-1, 3)
+    middles = truth.exit_points.mean(axis=0), found.mean(axis=0)
+    turn = turn_to(truth.exit_points - middles[0], found - middles[1])
+    miss = (truth.exit_points - middles[0]) @ turn - (found - middles[1])
+    assert np.linalg.norm(miss, axis=1).max() < 0.01
+    if len(known) > 1:
+        assert np.linalg.norm(found - truth.exit_points, axis=1).max() < 0.02
+        assert np.linalg.norm(result.rotation - rotation, axis=(1, 2)).max() < 0.03
+
+
+@pytest.mark.parametrize("known", [(), (0, 1, 2, 3, 4, 5)])
+def test_a_platform_that_turns_is_refused_with_what_helps(known):
+    before, _, _, angles = scene(19, 40, known=known)
     apart = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
     wide = replace(before, anchor_points=apart)
     with pytest.raises(
@@ -482,5 +506,18 @@ def test_a_platform_that_turns_is_refused_with_what_helps():
     ) as one:
         calibrate_motor_angles(angles, wide)
     assert "AHRS, swivel angles or load cells" in str(one.value)
-    held = SelfCalibrationSettings(keeps_rotation=True)
-    assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+    assert "known position" not in str(one.value)
+    if not known:
+        held = SelfCalibrationSettings(keeps_rotation=True)
+        assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+
+
+def test_a_drum_without_a_radius_is_refused():
+    before, _, _, angles = scene(19, 40)
+    problem = MotorAngleProblem(before, angles, SelfCalibrationSettings())
+    shared = problem.prior.mean.copy()
+    shared[problem.buildups] = -1e-2
+    with pytest.raises(
+        Unobservable, match=r"drum of d comes out impossible: .* build-up of -0.01 m"
+    ):
+        problem.drum_radius(shared)
