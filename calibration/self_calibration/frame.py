@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.reference import Reference
@@ -49,6 +50,8 @@ class Frame:
     Attributes:
         reference: Sample that is taken to be at home, or None.
         home: Platform origin at home [m], shape (3,).
+        by_exit_points: Axes of W along which the exit points of the robot file alone tell the
+            place, shape (3,).
         lever: Length by which turns are multiplied to be motions in metres [m].
         free: Free motions, shifts and turns about home times the lever, shape (6, f), orthonormal.
         hold: Motion, along the free ones, by a change of the shared unknowns, shape (f, m).
@@ -59,6 +62,7 @@ class Frame:
     """
 
     reference: Reference | None
+    by_exit_points: NDArray[np.bool_]
     home: Array
     lever: float
     free: Array
@@ -144,12 +148,14 @@ class Frame:
     def sentences(self) -> list[str]:
         """Return in words what holds the frame."""
         lines = []
-        if self.reference is not None:
-            axes = "".join(np.array(["x", "y", "z"])[self.reference.axes])
-            where = "the origin" if axes == "xyz" else f"the origin of {' and '.join(axes)}"
+        if self.by_exit_points.any():
             lines.append(
-                f"{where} is by convention: sample {self.reference.sample}, the reference, is at "
-                "home"
+                f"{_origin(self.by_exit_points)} is that of the exit points of the robot file"
+            )
+        if self.reference is not None:
+            lines.append(
+                f"{_origin(self.reference.axes)} is by convention: sample "
+                f"{self.reference.sample}, the reference, is at home"
             )
         if self.free.shape[1]:
             by = "as the exit points of the robot file are turned, which fits them best"
@@ -219,6 +225,9 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
         hold[0, place] = np.array([-ray[1], ray[0], 0.0]) / np.hypot(ray[0], ray[1])
     return Frame(
         reference=problem.reference,
+        by_exit_points=np.asarray(
+            (problem.reference is None) & ~problem.angles.coordinates_known.any(axis=0)
+        ),
         home=home,
         lever=lever,
         free=free,
@@ -250,6 +259,12 @@ def _convention(problem: MotorAngleProblem, shared: Array, free: Array) -> Array
 def mean_distance(exits: Array) -> float:
     """Return the root mean square distance of each exit point from the truth, averaged [m]."""
     return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
+
+
+def _origin(axes: NDArray[np.bool_]) -> str:
+    """Name the origin along some axes."""
+    names = [name for name, mine in zip("xyz", axes, strict=True) if mine]
+    return "the origin" if axes.all() else f"the origin of {' and '.join(names)}"
 
 
 def _axis(turns: Array) -> str:
