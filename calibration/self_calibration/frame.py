@@ -40,6 +40,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 
 SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
+HEADING_SHARE_MIN = 0.05  # of its distance from home that an exit point must be beside home
 AXIS_NAMED_MIN = 0.01  # smaller parts of an axis are not named
 
 
@@ -199,7 +200,8 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
         information: On them, of the data alone, positions unknown, shape (m, m).
 
     Raises:
-        InvalidField: The x axis is to go through an exit point, but the data tell the heading.
+        InvalidField: The x axis is to go through an exit point that is above or below home, or the
+            data tell the heading.
     """
     lever, home = problem.longest, problem.robot.home_position
     exits = problem.points(shared)
@@ -212,6 +214,11 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
     if heading is not None:
         if np.linalg.norm(free.T @ up) < SAME_MOTION:
             allowed = "nothing, as what was measured tells the heading"
+            if np.linalg.norm(free[5]) > AXIS_NAMED_MIN:
+                allowed = (
+                    "nothing, as the heading is not free about home: known coordinates, or a file, "
+                    "hold another place"
+                )
             raise InvalidField("x_through", repr(heading), allowed)
         rest = free - np.outer(up, free.T @ up)
         axes, size, _ = np.linalg.svd(rest, full_matrices=False)
@@ -220,6 +227,12 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
     hold = move.T @ problem.prior.information
     if heading is not None:
         ray = exits[problem.robot.cable_names.index(heading)] - home
+        if np.hypot(ray[0], ray[1]) < HEADING_SHARE_MIN * np.linalg.norm(ray):
+            allowed = (
+                f"an exit point beside home: that of {heading} is nearly on the vertical through "
+                "home, and tells no heading"
+            )
+            raise InvalidField("x_through", repr(heading), allowed)
         hold[0] = 0.0
         place = problem.exits[problem.robot.cable_names.index(heading)]
         hold[0, place] = np.array([-ray[1], ray[0], 0.0]) / np.hypot(ray[0], ray[1])

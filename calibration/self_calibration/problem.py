@@ -39,6 +39,7 @@ POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end 
 POSITION_PRIOR_FACTOR = (
     20.0  # times the longest cable: one standard deviation of a position before any data
 )
+DISTANCE_SLACK_SHARE = 0.2  # of the longest cable: distances so far from possible are mistakes
 TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
 Rows = slice | NDArray[np.intp]
 
@@ -103,7 +104,7 @@ class MotorAngleProblem:
 
         Raises:
             InvalidField: The robot file does not say how motor angle and length belong together,
-                or a distance is between points that the robot lacks.
+                or a distance is between points that the robot lacks, or impossible.
             Unobservable: The origin cannot be put to home, as no sample was taken near there.
         """
         drums = drums_of(robot)
@@ -134,6 +135,7 @@ class MotorAngleProblem:
         self._ends = [
             tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
         ]
+        self._check_distances()
         wound = self._unstrained(self.prior.mean, slice(None))
         self._friction_noise = (
             settings.friction_share / np.sqrt(3.0) * self.advantage
@@ -365,6 +367,25 @@ class MotorAngleProblem:
         far = POSITION_PRIOR_FACTOR * self.longest
         self.reach = np.array([far] * 3 + [TURN_PRIOR_RAD] * 3)[: self.own]
         self.home = np.concatenate([self.robot.home_position, np.zeros(3)])[: self.own]
+
+    def _check_distances(self) -> None:
+        """Refuse distances that the lengths at home rule out, such as millimetres for metres."""
+        prior, names = self.prior, self.robot.cable_names
+        slack = DISTANCE_SLACK_SHARE * self.longest + self.spread
+        for distance, ends in zip(self.settings.distances, self._ends, strict=True):
+            cables = [end for end in ends if end is not None]
+            home, sigma = prior.mean[self.zeros[cables]], prior.sigma[self.zeros[cables]]
+            most = float(home.sum())
+            least = most if len(cables) == 1 else float(abs(home[0] - home[1]))
+            wide = slack + 4.0 * float(np.linalg.norm(sigma))
+            if not least - wide <= distance.length <= most + wide:
+                lengths = [f"{names[i]} {prior.mean[self.zeros[i]]:.3g} m" for i in cables]
+                raise InvalidField(
+                    f"distance {distance}",
+                    f"{distance.length:g} m",
+                    f"{max(least - wide, 0.0):.3g} to {most + wide:.3g} m by the lengths at home "
+                    f"({', '.join(lengths)})",
+                )
 
     def _at_rest(self, length: Array) -> Array:
         """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""

@@ -402,6 +402,41 @@ def test_distances_that_mean_nothing_are_refused(make, message):
         make()
 
 
+@pytest.mark.parametrize(
+    ("second", "length", "allowed"),
+    [
+        ("b", 1e3 * SPAN, r"distance a to b: got 30\d\d\.\d+ m; allowed: 0 to 3\.\d+ m by the le"),
+        ("home", 1597.0, r"distance a to home: got 1597 m; allowed: 1\.0\d to 2\.1\d? m by the"),
+        ("home", 0.3, r"distance a to home: got 0\.3 m; allowed: "),
+    ],
+)
+def test_a_distance_in_another_unit_is_refused(second, length, allowed):
+    _, _, _, angles = scene(17, 10, known=())
+    wrong = Distance(first="a", second=second, length=length, sigma=2.0)
+    with pytest.raises(InvalidField, match=allowed):
+        MotorAngleProblem(robots()[0], angles, SelfCalibrationSettings(distances=(wrong,)))
+
+
+def test_headings_that_nothing_gives_are_refused_with_the_reason():
+    before, _, place, angles = scene(9, 40, known=())
+    above = SelfCalibrationSettings(x_through="d")
+    with pytest.raises(InvalidField, match="that of d is nearly on the vertical through home"):
+        calibrate_motor_angles(angles, before, above)
+    known = np.zeros((40, 3), dtype=bool)
+    known[:5, 2], known[3] = True, True
+    there = np.where(known, place, 0.0)
+    aside = replace(angles, is_known=known.any(axis=1), known_axes=known, known_position=there)
+    with pytest.raises(InvalidField, match="the heading is not free about home"):
+        calibrate_motor_angles(aside, before, SelfCalibrationSettings(x_through="b"))
+
+
+@pytest.mark.parametrize("value", [0.0, np.inf, np.nan])
+def test_standard_deviations_are_positive_and_finite(value):
+    for name in ("exit_sigma", "drum_radius_sigma", "length_at_zero_sigma", "accuracy"):
+        with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: > 0, finite"):
+            SelfCalibrationSettings(**{name: value})
+
+
 def test_a_distance_to_nothing_is_refused():
     _, _, _, angles = scene(17, 10, known=())
     settings = SelfCalibrationSettings(distances=(replace(TAPE, second="z"),))
