@@ -172,7 +172,7 @@ def write_new_robot(
     """
     if output is not None:
         write_robot(
-            robot, result.estimate, output, provenance=provenance, name=name,
+            robot, result.robot_estimate, output, provenance=provenance, name=name,
             model_error=model_error,
         )  # fmt: skip
         print(f"\nnew robot file: {output}")

@@ -37,7 +37,12 @@ class CalibrationResult(ABC):
     @cached_property
     def robot(self) -> Robot:
         """The calibrated robot, with the covariance of its parameters."""
-        return updated(self.before, self.estimate)
+        return updated(self.before, self.robot_estimate)
+
+    @property
+    def robot_estimate(self) -> ParameterEstimate:
+        """The estimate with the covariance that the robot gets."""
+        return self.estimate
 
     @property
     def exit_covariance_before(self) -> Array | None:

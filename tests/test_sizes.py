@@ -20,13 +20,14 @@ ROWS = ("kinematic_solver/truth", "input_shaping/truth", "mpc/truth")
 PACKAGES = (
     "baselines", "sim_warp", "carosac_toolkit/physics", "carosac_toolkit/safety",
     "carosac_toolkit/drivers", "carosac_toolkit/trajectories", "carosac_toolkit/studies/run",
-    "carosac_toolkit/loop",
+    "carosac_toolkit/loop", "calibration/self_calibration",
 )  # fmt: skip
 UNIT = re.compile(r"_(M|S|N|KG|HZ|NM|(M|RAD|M2|1)_PER_(SQRT_)?S2?|PER_S)$")
 NOT_OF_A_ROBOT = {
     "rounding": {
         "READING_INTERVAL_MIN_S", "TIME_TOLERANCE_S", "HANGING_CLOSURE_MAX_M",
         "TENSIONED_CLOSURE_MAX_M", "STEP_DIFFERENCE_MAX_S", "PIECE_DURATION_MIN_S", "BOX_MARGIN_M",
+        "POSITION_STEP_MIN_M", "LINE_SIGMA_MIN_M",
     },
     "a unit, or all time": {"MINUTE_S", "WHOLE_RECORDING_S"},
     "the robot on which defaults are stated": {

@@ -111,7 +111,7 @@ class Options(CommonOptions):
     """Motor angles: wanted standard deviation of the exit points [m]; a warning says if it is not
     reached."""
     keeps_rotation: bool = False
-    """Motor angles without known positions: the platform is built to keep its rotation, though its
+    """Motor angles, six cables or fewer: the platform is built to keep its rotation, though its
     cables end apart from each other."""
     home_length_prior: float = SelfCalibrationSettings.length_at_zero_sigma
     """Motor angles: standard deviation of the lengths at home in the robot file [m]."""

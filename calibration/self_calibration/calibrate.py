@@ -13,6 +13,7 @@ from calibration.self_calibration.frame import Frame, find_frame
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
+from calibration.self_calibration.rigid_motions import around, independent
 from calibration.self_calibration.rivals import Rival, better_rival, find_rivals, fits_better
 from calibration.self_calibration.scale import find_scale
 from calibration.self_calibration.settings import SelfCalibrationSettings
@@ -30,8 +31,8 @@ from carosac_toolkit.robot.robot import Robot
 
 HEADING_STEPS = 5
 ADOPTIONS_MAX = 4  # times that a better solution takes the place of the best one
-LINE_SIGMA_SURE_M = 5e-4  # [m] noise with which what stays free is refused before any more is done
-PREDICTED_SIGMA_MAX_M = 0.05  # [m] sigma above which predicting a known position tells nothing
+SURE_NOISE_SHARE = 2e-4  # of the longest cable: with that noise what stays free is refused early
+PREDICTED_SHARE_MAX = 0.02  # of the longest cable: a known position predicted worse tells nothing
 
 
 def calibrate_motor_angles(
@@ -40,7 +41,8 @@ def calibrate_motor_angles(
     """Find what the motor angles of a resting platform tell of a robot.
 
     Cables are straight and stiff, as no tensions are known: what a constant tension stretches is
-    taken for a larger drum. The rotation of the platform is that at home.
+    taken for a larger drum. The rotation of the platform is that at home, but for seven cables or
+    more that end apart, which tell it.
 
     Args:
         motor_angles: N samples. Without known positions the frame of the result is one of
@@ -60,10 +62,11 @@ def calibrate_motor_angles(
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)
     check_rotation(problem)
-    first = starts(problem)
+    first = starts(independent(problem))
     everything = np.ones(len(angles.samples), dtype=np.bool_)
-    line = settings.line_sigma or LINE_SIGMA_SURE_M
+    line = settings.line_sigma or SURE_NOISE_SHARE * problem.longest
     rough = Trust(line_sigma=line, lengths=everything, known=problem.is_known, robust=False)
+    problem = around(problem, first[0].shared, _frame(problem, first[0], rough).free)
     frame = _frame(problem, first[0], rough)
     check_determined(problem, first[0], rough, frame)
     before = problem.points(problem.prior.mean)
@@ -238,7 +241,7 @@ def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut,
             np.diag(_position_covariance(problem, other, less, int(k)))
             + problem.known_sigma[k, :3] ** 2
         )
-        if (sigma < PREDICTED_SIGMA_MAX_M)[axes].all():
+        if (sigma < PREDICTED_SHARE_MAX * problem.longest)[axes].all():
             error = other.position[k, :3] - angles.known_position[k]
             left_out.append(
                 LeftOut(

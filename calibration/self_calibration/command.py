@@ -25,7 +25,7 @@ from calibration.self_calibration.report import (
     left_out_rows,
     report_content,
 )
-from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
+from calibration.self_calibration.settings import Distance, SelfCalibrationSettings, positive
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult
@@ -71,7 +71,7 @@ class MotorAngleOptions(PriorOptions, Protocol):
 
     @property
     def seed(self) -> int:
-        """Not used: nothing is random."""
+        """Not used: starts are drawn alike in every run."""
 
     @property
     def x_through(self) -> str | None:
@@ -142,7 +142,16 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
 
 
 def prior_settings(options: PriorOptions) -> SelfCalibrationSettings:
-    """Return settings of what was known before."""
+    """Return settings of what was known before.
+
+    Raises:
+        InvalidField: A standard deviation that is none.
+    """
+    for option in ("home_length_prior", "radius_prior"):
+        value = getattr(options, option)
+        if not positive(value):
+            name = f"--{option.replace('_', '-')}"
+            raise InvalidField(name, f"{value:g} m", "a standard deviation > 0 m, finite")
     return SelfCalibrationSettings(
         length_at_zero_sigma=options.home_length_prior,
         drum_radius_sigma=options.radius_prior,

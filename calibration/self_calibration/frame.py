@@ -13,7 +13,12 @@ file. This is where the maximum a posteriori estimate is. Covariances are those 
 .. math:: \Sigma' = P \Sigma P^\top, \qquad P = I - G Z (C G Z)^{-1} C, \qquad
           C = (G Z)^\top \Lambda,
 
-in which the free motions have no uncertainty (an S-transformation).
+in which the free motions have no uncertainty (an S-transformation). The robot file is read by those
+who do not know of the convention, and may be calibrated in another frame. In it, motions M that are
+held by convention, those of the reference at home among them, are as uncertain as the prior leaves
+them where the shape is known:
+
+.. math:: \Sigma'' = \Sigma' + M (M^\top \Lambda M)^{-1} M^\top.
 
 References:
     Baarda, *S-transformations and criterion matrices*, Netherlands Geodetic Commission, 1973.
@@ -25,16 +30,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.reference import Reference
+from calibration.self_calibration.rigid_motions import FREE_MOTION_SHARE, HELD_SIGMA_SHARE, moves
 from calibration.self_calibration.solver import SampleFit, inverse
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 
-FREE_MOTION_SHARE = 0.05  # of the longest cable: a motion known less well than that is free
-HELD_SIGMA_SHARE = 1e-3  # of the longest cable: a free motion that is held is known that well
 SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
+HEADING_SHARE_MIN = 0.05  # of its distance from home that an exit point must be beside home
 AXIS_NAMED_MIN = 0.01  # smaller parts of an axis are not named
 
 
@@ -45,20 +51,26 @@ class Frame:
     Attributes:
         reference: Sample that is taken to be at home, or None.
         home: Platform origin at home [m], shape (3,).
+        by_exit_points: Axes of W along which the exit points of the robot file alone tell the
+            place, shape (3,).
         lever: Length by which turns are multiplied to be motions in metres [m].
         free: Free motions, shifts and turns about home times the lever, shape (6, f), orthonormal.
         hold: Motion, along the free ones, by a change of the shared unknowns, shape (f, m).
         move: Change of the shared unknowns by the free motions, shape (m, f).
         heading: Cable whose exit point is on the x axis as seen from above, or None.
+        convention: Covariance of the exit points by all motions that are held by convention, as
+            far as they were known before [m^2], shape (3 n, 3 n).
     """
 
     reference: Reference | None
+    by_exit_points: NDArray[np.bool_]
     home: Array
     lever: float
     free: Array
     hold: Array
     move: Array
     heading: str | None
+    convention: Array
 
     @property
     def turns(self) -> Array:
@@ -70,7 +82,7 @@ class Frame:
     def center(self) -> Array:
         """A point in W that all free turns leave where it is [m], shape (3,)."""
         shift, turn = self.free[:3].T, self.free[3:].T / self.lever
-        slope = np.concatenate([_moves(axis[None], 1.0)[0, :, 3:] for axis in turn])
+        slope = np.concatenate([moves(axis[None], 1.0)[0, :, 3:] for axis in turn])
         # shift + turn x (center - home) = 0; the moves by omega x ray are those of ray by -omega
         return np.asarray(self.home + np.linalg.lstsq(slope, shift.ravel(), rcond=None)[0])
 
@@ -131,18 +143,20 @@ class Frame:
             by_shared: The same before the motion back into the frame, shape (N, 3, m).
             position: [m], shape (N, 3).
         """
-        moves = _moves(position - self.home, self.lever) @ self.free
-        return np.asarray(by_shared - moves @ self.hold)
+        motion = moves(position - self.home, self.lever) @ self.free
+        return np.asarray(by_shared - motion @ self.hold)
 
     def sentences(self) -> list[str]:
         """Return in words what holds the frame."""
         lines = []
-        if self.reference is not None:
-            axes = "".join(np.array(["x", "y", "z"])[self.reference.axes])
-            where = "the origin" if axes == "xyz" else f"the origin of {' and '.join(axes)}"
+        if self.by_exit_points.any():
             lines.append(
-                f"{where} is by convention: sample {self.reference.sample}, the reference, is at "
-                "home"
+                f"{_origin(self.by_exit_points)} is that of the exit points of the robot file"
+            )
+        if self.reference is not None:
+            lines.append(
+                f"{_origin(self.reference.axes)} is by convention: sample "
+                f"{self.reference.sample}, the reference, is at home"
             )
         if self.free.shape[1]:
             by = "as the exit points of the robot file are turned, which fits them best"
@@ -186,39 +200,73 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
         information: On them, of the data alone, positions unknown, shape (m, m).
 
     Raises:
-        InvalidField: The x axis is to go through an exit point, but the data tell the heading.
+        InvalidField: The x axis is to go through an exit point that is above or below home, or the
+            data tell the heading.
     """
     lever, home = problem.longest, problem.robot.home_position
     exits = problem.points(shared)
-    moves = np.zeros((problem.size, 6))
-    moves[problem.exits.ravel()] = _moves(exits - home, lever).reshape(-1, 6)
-    values, vectors = np.linalg.eigh(moves.T @ information @ moves / problem.robot.n)
+    motion = np.zeros((problem.size, 6))
+    motion[problem.exits.ravel()] = moves(exits - home, lever).reshape(-1, 6)
+    values, vectors = np.linalg.eigh(motion.T @ information @ motion / problem.robot.n)
     free = vectors[:, values < (FREE_MOTION_SHARE * lever) ** -2]
     heading = problem.settings.x_through
     up = np.eye(6)[5]
     if heading is not None:
         if np.linalg.norm(free.T @ up) < SAME_MOTION:
             allowed = "nothing, as what was measured tells the heading"
+            if np.linalg.norm(free[5]) > AXIS_NAMED_MIN:
+                allowed = (
+                    "nothing, as the heading is not free about home: known coordinates, or a file, "
+                    "hold another place"
+                )
             raise InvalidField("x_through", repr(heading), allowed)
         rest = free - np.outer(up, free.T @ up)
         axes, size, _ = np.linalg.svd(rest, full_matrices=False)
         free = np.column_stack([up, axes[:, size > 0.5]])
-    move = moves @ free
+    move = motion @ free
     hold = move.T @ problem.prior.information
     if heading is not None:
         ray = exits[problem.robot.cable_names.index(heading)] - home
+        if np.hypot(ray[0], ray[1]) < HEADING_SHARE_MIN * np.linalg.norm(ray):
+            allowed = (
+                f"an exit point beside home: that of {heading} is nearly on the vertical through "
+                "home, and tells no heading"
+            )
+            raise InvalidField("x_through", repr(heading), allowed)
         hold[0] = 0.0
         place = problem.exits[problem.robot.cable_names.index(heading)]
         hold[0, place] = np.array([-ray[1], ray[0], 0.0]) / np.hypot(ray[0], ray[1])
     return Frame(
         reference=problem.reference,
+        by_exit_points=np.asarray(
+            (problem.reference is None) & ~problem.angles.coordinates_known.any(axis=0)
+        ),
         home=home,
         lever=lever,
         free=free,
         hold=np.linalg.solve(hold @ move, hold) if free.shape[1] else hold,
         move=move,
         heading=heading,
+        convention=_convention(problem, shared, free),
     )
+
+
+def _convention(problem: MotorAngleProblem, shared: Array, free: Array) -> Array:
+    """Return the prior covariance of the exit points by motions held by convention, (3 n, 3 n)."""
+    tied = np.zeros(6, dtype=np.bool_)
+    if problem.reference is not None:
+        tied[:3] = problem.reference.axes
+        tied[3 : problem.own] = problem.known_axes[problem.reference.row, 3:]
+    axes, size, _ = np.linalg.svd(np.hstack([free, np.eye(6)[:, tied]]), full_matrices=False)
+    held, block, file = axes[:, size > AXIS_NAMED_MIN], problem.exits.ravel(), problem.file_prior
+    before, motion = (
+        moves(problem.points(values) - problem.robot.home_position, problem.longest).reshape(-1, 6)
+        @ held
+        for values in (file.mean, shared)
+    )
+    information = before.T @ file.information[np.ix_(block, block)] @ before
+    covariance = motion @ np.linalg.solve(information, motion.T)
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def mean_distance(exits: Array) -> float:
@@ -226,15 +274,10 @@ def mean_distance(exits: Array) -> float:
     return float(np.sqrt(np.diag(exits).reshape(-1, 3).sum(axis=1)).mean())
 
 
-def _moves(ray: Array, lever: float) -> Array:
-    """Return the displacement of points by six motions, shape (N, 3, 6), from `ray` (N, 3)."""
-    x, y, z = ray.T
-    moves = np.zeros((len(ray), 3, 6))
-    moves[:, :, :3] = np.eye(3)
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]])  # omega x ray by omega
-    moves[:, :, 3:] = cross.transpose(2, 0, 1) / lever
-    return moves
+def _origin(axes: NDArray[np.bool_]) -> str:
+    """Name the origin along some axes."""
+    names = [name for name, mine in zip("xyz", axes, strict=True) if mine]
+    return "the origin" if axes.all() else f"the origin of {' and '.join(names)}"
 
 
 def _axis(turns: Array) -> str:

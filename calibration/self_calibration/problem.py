@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.linear_samples import LinearSamples
+from calibration.observability import Unobservable
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.reference import TIE_SIGMA_SHARE, tied_to_home
 from calibration.self_calibration.settings import HOME, SelfCalibrationSettings
@@ -38,6 +39,7 @@ POINT_LIKE_SHARE = 0.02  # of the longest cable: cables that end that close end 
 POSITION_PRIOR_FACTOR = (
     20.0  # times the longest cable: one standard deviation of a position before any data
 )
+DISTANCE_SLACK_SHARE = 0.2  # of the longest cable: distances so far from possible are mistakes
 TURN_PRIOR_RAD = 1.0  # one standard deviation of a rotation vector before any data
 FORGOTTEN_SIGMAS = 5.0  # factor of the sigmas of a prior that is left out: far, but no collapse
 Rows = slice | NDArray[np.intp]
@@ -61,9 +63,9 @@ class Before:
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
-    A platform whose cables end apart turns as it moves. Where known positions do not settle its
-    place, and lengths are to spare for it, so its rotation is unknown as well: the position of each
-    sample is followed by a rotation vector, from home's rotation [rad].
+    A platform whose cables end apart turns as it moves. Where lengths are to spare for it, its
+    rotation is unknown as well: the position of each sample is followed by a rotation vector, from
+    home's rotation [rad].
 
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
     for each group of alike drums, the lengths at the reference (n), and, where tensions are
@@ -71,6 +73,7 @@ class MotorAngleProblem:
 
     Attributes:
         prior: Of the shared unknowns, m of them.
+        file_prior: The same as the robot file has it.
         exits: Places of the exit points among them, shape (n, 3).
         radii: Place of each cable's radius error, shape (n,).
         buildups: Place of its build-up, shape (n,).
@@ -102,7 +105,7 @@ class MotorAngleProblem:
 
         Raises:
             InvalidField: The robot file does not say how motor angle and length belong together,
-                or a distance is between points that the robot lacks.
+                or a distance is between points that the robot lacks, or impossible.
             Unobservable: The origin cannot be put to home, as no sample was taken near there.
         """
         drums = drums_of(robot)
@@ -120,6 +123,7 @@ class MotorAngleProblem:
         )
         self.exits, self.radii, self.buildups = places.exits, places.radii, places.buildups
         self.zeros, self.compliances, self.prior = places.zeros, places.compliances, places.prior
+        self.file_prior = self.prior
         spread = angles.known_sigma
         self._set_own()
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
@@ -132,6 +136,7 @@ class MotorAngleProblem:
         self._ends = [
             tuple(_end(robot, name) for name in (d.first, d.second)) for d in settings.distances
         ]
+        self._check_distances()
         wound = self._unstrained(self.prior.mean, slice(None))
         self._friction_noise = (
             settings.friction_share / np.sqrt(3.0) * self.advantage
@@ -180,7 +185,7 @@ class MotorAngleProblem:
 
     def turned_values(self, rotation: Array, shared: Array) -> Array:
         """Return shared unknowns (m,) with the exit points turned about home."""
-        center = self.robot.home_position + self.offsets
+        center = self.robot.home_position + self._not_turning
         new = shared.copy()
         new[self.exits] = (shared[self.exits] - center) @ rotation.T + center
         return new
@@ -248,16 +253,26 @@ class MotorAngleProblem:
         return miss, slope
 
     def points(self, shared: Array) -> Array:
-        """Return the exit points less the anchor points at home's rotation [m], shape (n, 3).
+        """Return points in W [m], shape (n, 3): turning them and the positions changes no length.
 
-        Turning these and the positions alike changes no length.
+        They are the exit points, less the anchor points at home's rotation where that is kept.
         """
-        return np.asarray(shared[self.exits] - self.offsets)
+        return np.asarray(shared[self.exits] - self._not_turning)
 
     @property
     def offsets(self) -> Array:
         """Anchor points at home's rotation, from the platform's origin [m], shape (n, 3)."""
         return np.asarray(self.robot.anchor_points @ self.robot.home_rotation.T)
+
+    @property
+    def _not_turning(self) -> Array:
+        """Part of the exit points that stays as everything turns [m], shape (n, 3)."""
+        return self.offsets if self.own == 3 else np.zeros_like(self.offsets)
+
+    @property
+    def spread(self) -> float:
+        """Largest distance between the ends of two cables on the platform [m]."""
+        return float(np.linalg.norm(self.offsets[:, None] - self.offsets, axis=2).max())
 
     def _place(self, end: int | None, shared: Array) -> Array:
         """Return an end of a distance [m], shape (3,): an exit point, or home."""
@@ -286,10 +301,23 @@ class MotorAngleProblem:
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
-        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m)."""
+        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m).
+
+        Raises:
+            Unobservable: There is no such radius.
+        """
         radius = self.radius + shared[self.radii]
         buildup, length = shared[self.buildups], shared[self.zeros]
-        empty_radius = np.sqrt(radius**2 + self.advantage * buildup * length)
+        square = radius**2 + self.advantage * buildup * length
+        if not (square > 0.0).all():
+            i = int(np.argmin(square))
+            raise Unobservable(
+                f"the drum of {self.robot.cable_names[i]} comes out impossible: with a radius of "
+                f"{radius[i]:g} m where {length[i]:g} m are out and a build-up of {buildup[i]:g} m "
+                "it has no radius with all line wound in. Allowed: motors whose order, sign and "
+                "gear are those of the robot file, more samples, or drums that are known better"
+            )
+        empty_radius = np.sqrt(square)
         slope = np.zeros((len(empty_radius), self.size))
         rows = np.arange(len(empty_radius))
         slope[rows, self.radii] = radius / empty_radius
@@ -365,17 +393,32 @@ class MotorAngleProblem:
 
     def _set_own(self) -> None:
         """Decide whether the rotation of each sample is unknown."""
-        offsets = self.offsets
-        apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
         self.keeps_rotation = (
-            self.settings.keeps_rotation
-            or self.angles.spans_plane
-            or apart < POINT_LIKE_SHARE * self.longest
+            self.settings.keeps_rotation or self.spread < POINT_LIKE_SHARE * self.longest
         )
         self.own = 3 if self.keeps_rotation or self.robot.n <= 6 else 6
         far = POSITION_PRIOR_FACTOR * self.longest
         self.reach = np.array([far] * 3 + [TURN_PRIOR_RAD] * 3)[: self.own]
         self.home = np.concatenate([self.robot.home_position, np.zeros(3)])[: self.own]
+
+    def _check_distances(self) -> None:
+        """Refuse distances that the lengths at home rule out, such as millimetres for metres."""
+        prior, names = self.prior, self.robot.cable_names
+        slack = DISTANCE_SLACK_SHARE * self.longest + self.spread
+        for distance, ends in zip(self.settings.distances, self._ends, strict=True):
+            cables = [end for end in ends if end is not None]
+            home, sigma = prior.mean[self.zeros[cables]], prior.sigma[self.zeros[cables]]
+            most = float(home.sum())
+            least = most if len(cables) == 1 else float(abs(home[0] - home[1]))
+            wide = slack + 4.0 * float(np.linalg.norm(sigma))
+            if not least - wide <= distance.length <= most + wide:
+                lengths = [f"{names[i]} {prior.mean[self.zeros[i]]:.3g} m" for i in cables]
+                raise InvalidField(
+                    f"distance {distance}",
+                    f"{distance.length:g} m",
+                    f"{max(least - wide, 0.0):.3g} to {most + wide:.3g} m by the lengths at home "
+                    f"({', '.join(lengths)})",
+                )
 
     def _at_rest(self, length: Array) -> Array:
         """Return the unstrained lengths at the reference of cables of these lengths [m], (n,)."""

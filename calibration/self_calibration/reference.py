@@ -2,7 +2,8 @@
 
 Lengths alone do not tell where a robot stands. Along each axis of W of which no sample has a known
 coordinate, the sample at the reference, where the motor angles are 0, is taken to be at home. That
-is a convention: it changes no shape, and its uncertainty is not counted.
+is a convention: it changes no shape, and its uncertainty is not counted. Exit points that the robot
+file knows well enough tell the place themselves, and no sample is taken to be at home.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from carosac_toolkit.robot.robot import Robot
 
 TIE_SIGMA_SHARE = 2e-5  # of the longest cable: so near to home is the reference put
 REFERENCE_LENGTH_SHARE = 0.02  # of the longest cable: a sample farther from 0 is no reference
-SURVEYED_SIGMA_M = 0.02  # [m]: exit points that known say better where W is than home does
+SURVEYED_SHARE = 0.01  # of the longest cable: exit points known that well tell where W is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,9 +56,9 @@ def tied_to_home(
         Unobservable: No sample is at the reference.
     """
     axes = np.asarray(~angles.coordinates_known.any(axis=0))
-    if not axes.any() or _surveyed(robot, prior):
-        return None
     longest = float(prior.mean[prior.rows("length_at_zero")].max())
+    if not axes.any() or _surveyed(robot, prior, longest):
+        return None
     away = np.abs(turned).max(axis=1)
     row = int(np.argmin(away))
     if away[row] > REFERENCE_LENGTH_SHARE * longest:
@@ -74,10 +75,10 @@ def tied_to_home(
     )
 
 
-def _surveyed(robot: Robot, prior: Prior) -> bool:
+def _surveyed(robot: Robot, prior: Prior, longest: float) -> bool:
     """Return whether the robot file knows the exit points well enough to tell where W is."""
     size = 3 * robot.n
     moves = np.zeros((len(prior.names), 3))
     moves[:size] = np.tile(np.eye(3), (robot.n, 1))
     spread = np.linalg.inv(moves.T @ prior.information @ moves)
-    return bool(np.sqrt(np.linalg.eigvalsh(spread)[-1]) < SURVEYED_SIGMA_M)
+    return bool(np.sqrt(np.linalg.eigvalsh(spread)[-1]) < SURVEYED_SHARE * longest)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.estimate import ParameterEstimate
 from calibration.result import CalibrationResult
 from calibration.self_calibration.frame import Frame
 from calibration.self_calibration.rivals import OUTSIDE_SHARE, Rival
@@ -97,6 +98,17 @@ class SelfCalibration(CalibrationResult):
     frame: Frame
     scale: Scale
     rivals: tuple[Rival, ...]
+
+    @property
+    def robot_estimate(self) -> ParameterEstimate:
+        """The estimate; motions that are held by convention are as uncertain as before.
+
+        A robot file is read by those who know nothing of the frame of this result.
+        """
+        covariance = self.estimate.covariance.copy()
+        exits = self.before.exit_points.size  # the first parameters
+        covariance[:exits, :exits] += self.frame.convention
+        return replace(self.estimate, covariance=covariance)
 
     @property
     def residual_rms(self) -> float:

@@ -5,11 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 
 HOME = "home"  # name of the home position among the ends of a distance
+
+
+def positive(value: ArrayLike) -> bool:
+    """Return whether all values are above 0 and finite."""
+    array = np.asarray(value)
+    return bool((np.isfinite(array) & (array > 0.0)).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +41,7 @@ class Distance:
             raise InvalidField("distance", f"{self.first} to {self.second}", "two different points")
         for name in ("length", "sigma"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not positive(value):
                 raise InvalidField(f"{name} of the distance {self}", f"{value:g} m", "> 0 m")
 
     def __str__(self) -> str:
@@ -60,8 +67,8 @@ class SelfCalibrationSettings:
             home, where nothing that was measured tells the heading; None: the exit points of the
             robot file tell it.
         keeps_rotation: True if the platform is built to keep its rotation from home, though its
-            cables end apart from each other. Without known positions a platform whose cables end
-            apart is refused otherwise.
+            cables end apart from each other. With up to six cables, such a platform is refused
+            otherwise.
         accuracy: Wanted standard deviation of the exit points, the mean of their distances from
             the truth [m]; None: nothing is wanted.
         known_sigma: Of known positions per axis, where the file says nothing [m], shape (3,).
@@ -93,8 +100,8 @@ class SelfCalibrationSettings:
             "drum_radius_sigma", "drum_buildup_share", "stiffness_share", "accuracy",
         ):  # fmt: skip
             value = getattr(self, name)
-            if value is not None and not (np.asarray(value) > 0.0).all():
-                raise InvalidField(name, value, "> 0")
+            if value is not None and not positive(value):
+                raise InvalidField(name, value, "> 0, finite")
         if not 0.0 <= self.friction_share < 1.0:
             raise InvalidField("friction_share", self.friction_share, "0 <= friction_share < 1")
         if not 0.0 < self.blunder < 0.1:

@@ -16,7 +16,7 @@ from carosac_toolkit.physics.cable.drum import Drums
 from carosac_toolkit.robot.parameter_names import point_names
 from carosac_toolkit.robot.robot import Robot
 
-ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
+ALIKE_RADIUS_SHARE = 3e-4  # of a radius: drums of one make differ by no more
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +105,8 @@ def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -
     group: list[int] = []
     for i in range(len(makes)):
         for j in range(i):
-            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE_RADIUS_M
+            apart = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j]))
+            same = apart < ALIKE_RADIUS_SHARE * empty[i]
             if makes[i] == makes[j] and same:
                 group.append(group[j])
                 break

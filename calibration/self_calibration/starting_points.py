@@ -3,7 +3,8 @@
 The distances from an exit point to three known positions or more leave a few places for it: two
 where they lie in a plane, mirrored. The cables' places are combined, every position is looked up on
 a grid in the workspace, and a robust fit of everything says which combination is right. With fewer
-known positions everything is fitted from many drawn starts (`batch_starts`).
+known positions, or a platform that turns, everything is fitted from many drawn starts
+(`batch_starts`).
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust,
 from carosac_toolkit.base.arrays import Array
 
 GUESS_DIRECTIONS = 24  # from which the places of one exit point are looked for
-ROUGH_LENGTH_SIGMA_M = 0.01  # [m] of a length, with drums as they are known before
-LINE_SIGMA_START_M = 5e-3  # [m] of line, before the residuals are known
+ROUGH_LENGTH_SHARE = 4e-3  # of the longest cable: noise of lengths with drums as known before
+START_NOISE_SHARE = 2e-3  # of the longest cable: noise of the line before residuals are known
 PLACES_KEPT = 3  # of one exit point that are kept
 PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
 COMBINATIONS_KEPT = 32  # combinations that are tried
@@ -55,7 +56,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     Returns:
         Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
-    if not problem.angles.spans_plane:
+    if problem.own == 6 or not problem.angles.spans_plane:
         return _from_batch(problem)
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]
@@ -107,7 +108,7 @@ def _from_batch(problem: MotorAngleProblem, count: int = STARTS) -> list[SampleF
 def _all_data(problem: MotorAngleProblem) -> Trust:
     """Return a robust trust in all data, with the noise that is assumed at the start."""
     return Trust(
-        line_sigma=LINE_SIGMA_START_M,
+        line_sigma=START_NOISE_SHARE * problem.longest,
         lengths=np.ones(len(problem.angles.samples), dtype=np.bool_),
         known=problem.is_known,
         robust=True,
@@ -150,7 +151,8 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
     prior: Array = np.asarray(np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)]), float)
-    places = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
+    start, sigma = np.array([*before, zero]), ROUGH_LENGTH_SHARE * problem.longest
+    places = [_trilaterated(u, points, change, start, prior, sigma) for u in unknown]
     places.sort(key=lambda place: place.cost)
     kept: list[Place] = []
     for place in places:
@@ -162,7 +164,7 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
 
 
 def _trilaterated(
-    unknown: Array, points: Array, change: Array, before: Array, prior: Array
+    unknown: Array, points: Array, change: Array, before: Array, prior: Array, length_sigma: float
 ) -> Place:
     """Fit exit point and length at the reference downhill of a guess, robustly."""
     cost = np.inf
@@ -171,7 +173,7 @@ def _trilaterated(
     for _ in range(60):
         ray = trial[:3] - points
         distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
-        miss = (distance - trial[3] - change) / ROUGH_LENGTH_SIGMA_M
+        miss = (distance - trial[3] - change) / length_sigma
         away = trial - before
         weight, loss = cauchy(miss**2, CAUCHY_SIGMAS**2)
         new = float(loss.sum() + away @ prior @ away)
@@ -180,10 +182,7 @@ def _trilaterated(
             unknown, cost, damping = trial, new, max(damping / 5.0, 1e-9)
             if settled:
                 break
-            slope = (
-                np.column_stack([ray / distance[:, None], -np.ones(len(points))])
-                / ROUGH_LENGTH_SIGMA_M
-            )
+            slope = np.column_stack([ray / distance[:, None], -np.ones(len(points))]) / length_sigma
             matrix = (slope.T * weight) @ slope + prior
             vector = (slope.T * weight) @ miss + prior @ away
         else:

@@ -30,22 +30,19 @@ FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or l
 
 
 def check_rotation(problem: MotorAngleProblem) -> None:
-    """Refuse a platform whose rotation is unknown where lengths alone have to tell everything.
+    """Refuse a platform whose rotation is unknown where no lengths are to spare for it.
 
     Raises:
         Unobservable: With the reason.
     """
-    offsets = problem.offsets
-    apart = float(np.linalg.norm(offsets[:, None] - offsets, axis=2).max())
     if problem.keeps_rotation or problem.own == 6:
         return
     raise Unobservable(
-        f"the cables end up to {apart:.2g} m apart on the platform, which turns as it moves, and "
-        f"lengths of {problem.robot.n} cables have nothing to spare for its rotation. Allowed: "
-        "seven cables or more; cables that end within "
-        f"{POINT_LIKE_SHARE * problem.longest:.2g} m of each other; three known positions or "
-        "more, not on one line; a recording of rests with an AHRS, swivel angles or load cells; or "
-        "a platform that is built to keep its rotation "
+        f"the cables end up to {problem.spread:.2g} m apart on the platform, which turns as it "
+        f"moves, and lengths of {problem.robot.n} cables have nothing to spare for its rotation. "
+        "Allowed: seven cables or more; cables that end within "
+        f"{POINT_LIKE_SHARE * problem.longest:.2g} m of each other; a recording of rests with an "
+        "AHRS, swivel angles or load cells; or a platform that is built to keep its rotation "
         "(keeps_rotation in the settings, --keeps-rotation)"
     )
 

@@ -84,6 +84,14 @@ def test_a_robot_without_drums_or_with_other_cables_is_refused(angles_file):
         run_motor_angles(Options(robot="hangprinter"), angles_file)
 
 
+@pytest.mark.parametrize("value", [0.0, np.inf, np.nan])
+@pytest.mark.parametrize("option", ["home_length_prior", "radius_prior"])
+def test_priors_that_are_none_are_refused_by_their_option(angles_file, option, value):
+    name = f"--{option.replace('_', '-')}"
+    with pytest.raises(InvalidField, match=rf"{name}: got .* m; allowed: a standard deviation > 0"):
+        run_motor_angles(Options(**{option: value}), angles_file)
+
+
 def test_outputs_are_refused_before_any_work(angles_file, tmp_path):
     with pytest.raises(CarosacError, match=r"--output: got .*\.yaml or \.yml"):
         run_motor_angles(Options(output=tmp_path / "new.txt"), angles_file)

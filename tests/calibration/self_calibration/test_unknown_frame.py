@@ -11,14 +11,22 @@ from scipy.stats import chi2
 
 from benchmarks.unknown_robots import draw_unknown_robot
 from calibration.observability import Unobservable
+from calibration.robot_update import prior_covariance
 from calibration.self_calibration import calibrate
 from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.rivals import rival_warning
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from calibration.self_calibration.starting_points import starts
-from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
+from calibration.self_calibration.synthetic import (
+    MeasurementNoise,
+    draw_robot,
+    measure_motor_angles,
+)
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_rotation_vector
+from carosac_toolkit.robot.file import parse_robot, robot_text
+from carosac_toolkit.robot.writer import robot_document
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
 from tests.calibration.self_calibration.test_calibrate import SILENT, exits
 from tests.robots import eight_cable_robot
@@ -132,6 +140,51 @@ def test_sigmas_without_known_positions_are_honest():
     assert 0.5 < np.mean(places) < 1.7
 
 
+def test_a_robot_without_known_positions_calibrates_again_in_any_frame():
+    squares = []
+    for seed in (21, 22):
+        before, truth, place, angles = scene(seed, 40, known=())
+        turn = Rotation.from_rotvec([0.2, -0.3, 0.5]).as_matrix()  # another W than that of truth
+        points = (before.exit_points - before.anchor_points) @ turn.T + before.anchor_points
+        tape = SelfCalibrationSettings(distances=(replace(TAPE, sigma=1e-3),))
+        first = calibrate_motor_angles(angles, replace(before, exit_points=points), tape)
+        assert np.linalg.eigvalsh(first.estimate.covariance[:12, :12])[2] < 1e-12
+        once = parse_robot(robot_document(robot_text("hangprinter"), first.robot, provenance="-"))
+        rng = np.random.default_rng(seed)
+        noise = MeasurementNoise()
+        more = measure_motor_angles(truth, place, np.arange(0), noise, rng)
+        second = calibrate_motor_angles(more, once)
+        assert second.warnings == () and second.frame.free.shape[1] == 3
+        squares.append(frame_nees(second, truth))
+        assert second.estimate.sigma[:12].max() < 0.01
+        for robot in (once, second.robot):
+            known = measure_motor_angles(truth, place, np.arange(6), noise, rng)
+            result = calibrate_motor_angles(known, robot)
+            assert result.warnings == () and result.blunders == ()
+            error = exits(result) - truth.exit_points
+            assert np.abs(error).max() < 0.01
+            assert np.abs(error.ravel() / result.estimate.sigma[:12]).max() < 4.0
+    low, high = chi2.ppf([0.005, 0.995], 9 * len(squares))
+    assert low < sum(squares) < high
+
+
+def test_drawn_robots_may_be_those_of_a_file_without_known_positions():
+    before, _, _, angles = scene(23, 40, known=())
+    result = calibrate_motor_angles(angles, before)
+    settings = SelfCalibrationSettings()
+    drawn = draw_robot(result.robot, np.random.default_rng(0), settings).exit_points
+    assert np.abs(drawn - result.robot.exit_points).max() < 2.0
+    names = result.estimate.names[:12]
+    known = prior_covariance(result.robot, names, np.ones(12))
+    assert np.linalg.eigvalsh(known)[0] > 0.0
+    # each free turn is as uncertain as the prior was
+    ray = result.robot.exit_points - before.anchor_points - before.home_position
+    about_z = np.cross([0.0, 0.0, 1.0], ray).ravel()
+    assert about_z @ np.linalg.solve(known, about_z) == pytest.approx(
+        about_z @ about_z / 0.5**2, rel=0.01
+    )
+
+
 def test_the_frame_of_convention_is_told():
     before, _, _, angles = scene(5, 40, known=())
     result = calibrate_motor_angles(angles, before)
@@ -210,6 +263,30 @@ def test_the_x_axis_goes_through_the_named_exit_point():
     known = scene(9, 24)[3]
     with pytest.raises(InvalidField, match="allowed: nothing, as what was measured tells the head"):
         calibrate_motor_angles(known, before, SelfCalibrationSettings(x_through="b"))
+
+
+@pytest.mark.parametrize("size", [0.1, 10.0])
+def test_surveyed_exit_points_tell_the_place_at_any_size(size):
+    _, truth, place, _ = scene(9, 40, known=())
+    field = {name: size * getattr(truth, name) for name in (
+        "exit_points", "anchor_points", "home_position", "drum_radius", "workspace_min",
+        "workspace_max",
+    )}  # fmt: skip
+    small = replace(truth, **field, drum_buildup=size * truth.drum_buildup)
+    rng = np.random.default_rng(0)
+    noise = MeasurementNoise(line=1e-3 * size)
+    angles = measure_motor_angles(small, size * place, np.arange(0), noise, rng)
+    settings = SelfCalibrationSettings(
+        line_sigma=1e-3 * size, length_at_zero_sigma=0.02 * size, drum_radius_sigma=2e-3 * size
+    )
+    problems = [
+        MotorAngleProblem(loose(small, share * size), angles, settings) for share in (0.02, 0.1)
+    ]
+    assert problems[0].reference is None and problems[1].reference is not None
+    words = " ".join(
+        calibrate_motor_angles(angles, loose(small, 0.02 * size), settings).sentences()
+    )
+    assert "the origin is that of the exit points of the robot file" in words
 
 
 def test_one_known_position_leaves_turns_about_it_free():
@@ -362,6 +439,41 @@ def test_distances_that_mean_nothing_are_refused(make, message):
         make()
 
 
+@pytest.mark.parametrize(
+    ("second", "length", "allowed"),
+    [
+        ("b", 1e3 * SPAN, r"distance a to b: got 30\d\d\.\d+ m; allowed: 0 to 3\.\d+ m by the le"),
+        ("home", 1597.0, r"distance a to home: got 1597 m; allowed: 1\.0\d to 2\.1\d? m by the"),
+        ("home", 0.3, r"distance a to home: got 0\.3 m; allowed: "),
+    ],
+)
+def test_a_distance_in_another_unit_is_refused(second, length, allowed):
+    _, _, _, angles = scene(17, 10, known=())
+    wrong = Distance(first="a", second=second, length=length, sigma=2.0)
+    with pytest.raises(InvalidField, match=allowed):
+        MotorAngleProblem(robots()[0], angles, SelfCalibrationSettings(distances=(wrong,)))
+
+
+def test_headings_that_nothing_gives_are_refused_with_the_reason():
+    before, _, place, angles = scene(9, 40, known=())
+    above = SelfCalibrationSettings(x_through="d")
+    with pytest.raises(InvalidField, match="that of d is nearly on the vertical through home"):
+        calibrate_motor_angles(angles, before, above)
+    known = np.zeros((40, 3), dtype=bool)
+    known[:5, 2], known[3] = True, True
+    there = np.where(known, place, 0.0)
+    aside = replace(angles, is_known=known.any(axis=1), known_axes=known, known_position=there)
+    with pytest.raises(InvalidField, match="the heading is not free about home"):
+        calibrate_motor_angles(aside, before, SelfCalibrationSettings(x_through="b"))
+
+
+@pytest.mark.parametrize("value", [0.0, np.inf, np.nan])
+def test_standard_deviations_are_positive_and_finite(value):
+    for name in ("exit_sigma", "drum_radius_sigma", "length_at_zero_sigma", "accuracy"):
+        with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: > 0, finite"):
+            SelfCalibrationSettings(**{name: value})
+
+
 def test_a_distance_to_nothing_is_refused():
     _, _, _, angles = scene(17, 10, known=())
     settings = SelfCalibrationSettings(distances=(replace(TAPE, second="z"),))
@@ -458,8 +570,31 @@ def test_eight_cables_tell_the_rotations_of_a_platform_too():
     assert low < sum(squares) < high
 
 
-def test_a_platform_that_turns_is_refused_with_what_helps():
-    before, _, _, angles = scene(19, 40, known=())
+@pytest.mark.parametrize("known", [[5], [5, 9, 20], [0, 3, 7, 11, 20, 31]])
+def test_known_positions_do_not_stop_a_platform_from_turning(known):
+    before, truth, place, rotation, angles = rigid_scene(0)
+    is_known = np.isin(np.arange(len(place)), known)
+    there = np.where(is_known[:, None], place, 0.0)
+    angles = replace(angles, is_known=is_known, known_position=there)
+    span = float(np.linalg.norm(truth.exit_points[0] - truth.exit_points[1]))
+    tape = replace(TAPE, first="cable1", second="cable2", length=span, sigma=1e-4)
+    settings = SelfCalibrationSettings(length_at_zero_sigma=0.1, distances=(tape,))
+    result = calibrate_motor_angles(angles, before, settings)
+    assert result.warnings == ()
+    assert result.frame.free.shape[1] == (3 if len(known) == 1 else 0)
+    found = result.estimate.value[:24].reshape(-1, 3)
+    middles = truth.exit_points.mean(axis=0), found.mean(axis=0)
+    turn = turn_to(truth.exit_points - middles[0], found - middles[1])
+    miss = (truth.exit_points - middles[0]) @ turn - (found - middles[1])
+    assert np.linalg.norm(miss, axis=1).max() < 0.01
+    if len(known) > 1:
+        assert np.linalg.norm(found - truth.exit_points, axis=1).max() < 0.02
+        assert np.linalg.norm(result.rotation - rotation, axis=(1, 2)).max() < 0.03
+
+
+@pytest.mark.parametrize("known", [(), (0, 1, 2, 3, 4, 5)])
+def test_a_platform_that_turns_is_refused_with_what_helps(known):
+    before, _, _, angles = scene(19, 40, known=known)
     apart = np.array([[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.1]])
     wide = replace(before, anchor_points=apart)
     with pytest.raises(
@@ -467,8 +602,19 @@ def test_a_platform_that_turns_is_refused_with_what_helps():
     ) as one:
         calibrate_motor_angles(angles, wide)
     assert "AHRS, swivel angles or load cells" in str(one.value)
-    held = SelfCalibrationSettings(keeps_rotation=True)
-    assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+    assert "known position" not in str(one.value)
+    if not known:
+        held = SelfCalibrationSettings(keeps_rotation=True)
+        assert calibrate_motor_angles(angles, wide, held).frame.free.shape[1] == 3
+
+
+def test_a_drum_without_a_radius_is_refused():
+    before, _, _, angles = scene(19, 40)
+    problem = MotorAngleProblem(before, angles, SelfCalibrationSettings())
+    shared = problem.prior.mean.copy()
+    shared[problem.buildups] = -1e-2
+    with pytest.raises(Unobservable, match=r"drum of d comes out impossible: .* -0\.01 m"):
+        problem.drum_radius(shared)
 
 
 def test_a_cable_that_is_mostly_slack_is_named():
