@@ -19,6 +19,7 @@ from calibration import (
     load_motor_angles,
 )
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import best_rotation
 from carosac_toolkit.robot.robot import Robot
 
 COMMAND = "python -m benchmarks.calibration_hangprinter"
@@ -80,8 +81,7 @@ def unknown_rows(angles: MotorAngles, robot: Robot, full: SelfCalibration) -> li
 def rigid_motion(points: Array, towards: Array) -> tuple[Array, Array]:
     """Return turn and shift that bring points closest to others: points @ turn + shift."""
     middle = points.mean(axis=0)
-    left, _, right = np.linalg.svd((points - middle).T @ (towards - towards.mean(axis=0)))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turn = best_rotation(points - middle, towards - towards.mean(axis=0)).T
     return turn, towards.mean(axis=0) - middle @ turn
 
 

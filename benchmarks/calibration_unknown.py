@@ -26,6 +26,7 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import Trust, equations
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.rotations import best_rotation
 
 COMMAND = "python -m benchmarks.calibration_unknown"
 ROBOTS = 200
@@ -99,8 +100,7 @@ def calibrate(case: UnknownRobot) -> Outcome:
 
 def turned(points: Array, towards: Array) -> Array:
     """Return points turned about the origin to fit others best."""
-    left, _, right = np.linalg.svd(points.T @ towards)
-    return points @ left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return np.asarray(points @ best_rotation(points, towards).T)
 
 
 def frame_nees(result: SelfCalibration, case: UnknownRobot) -> tuple[float, int]:

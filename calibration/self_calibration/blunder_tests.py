@@ -1,8 +1,9 @@
 """Tests of every sample: its misfit, the noise of all, and which samples are blunders.
 
-A sample of n lengths has n - 3 more than its position takes: what they leave is its closure. A
-known position is compared with the one that the lengths alone give. Both are tested against their
-own covariance, in which a sample that was used takes part of the noise away.
+A sample of n lengths has n - 3 more than its position takes, n - 6 where its rotation is unknown as
+well: what they leave is its closure. A known position is compared with the one that the lengths
+alone give. Both are tested against their own covariance, in which a sample that was used takes part
+of the noise away.
 """
 
 from __future__ import annotations
@@ -180,11 +181,11 @@ def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) 
 def _by_lengths(
     problem: MotorAngleProblem, solution: SampleFit, trust: Trust
 ) -> tuple[Array, LinearSamples, Array, Array]:
-    """Find positions by the lengths alone, whatever is known of them.
+    """Find the samples' own unknowns by the lengths alone, whatever is known of them.
 
     Returns:
-        Positions (N, 3), the samples there, covariances (N, 3, 3) of these positions, and how they
-        follow from the residuals (N, 3, n).
+        Own unknowns (N, own), the samples there, their covariances (N, own, own), and how they
+        follow from the residuals (N, own, n).
     """
     where = solution.position
     for step in range(POSITION_STEPS_MAX):

@@ -38,6 +38,7 @@ from calibration.self_calibration.rigid_motions import FREE_MOTION_SHARE, HELD_S
 from calibration.self_calibration.solver import SampleFit, inverse
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import best_rotation
 
 SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
 HEADING_SHARE_MIN = 0.05  # of its distance from home that an exit point must be beside home
@@ -112,10 +113,12 @@ class Frame:
         axis = turns if turns.shape[1] == 1 else np.zeros((3, 1))
         plane = np.eye(3) - axis @ axis.T
         points = problem.points(solution.shared) - self.center
-        spread = plane @ points.T @ (towards - self.center) @ plane
-        left, _, right = np.linalg.svd(spread + 1e3 * np.linalg.norm(spread) * axis @ axis.T)
-        side = np.linalg.det(left @ right) * (-1.0 if mirror else 1.0)
-        turn = left @ np.diag([1.0, 1.0, side]) @ right
+        hold = 30.0 * np.abs(points).max() * axis.T  # a point on the axis stays where it is
+        turn = best_rotation(
+            np.vstack([points @ plane, hold]),
+            np.vstack([(towards - self.center) @ plane, hold]),
+            mirror=mirror,
+        ).T
         shared = solution.shared.copy()
         shared[problem.exits] = points @ turn + self.center + problem.offsets
         position = (solution.position - self.center) @ turn + self.center

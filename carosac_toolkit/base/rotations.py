@@ -50,6 +50,23 @@ def from_rotation_vector(vector: Array) -> Array:
     return np.asarray(turn)
 
 
+def best_rotation(points: Array, towards: Array, *, mirror: bool = False) -> Array:
+    """Return the rotation R about the origin that brings points closest to others, shape (3, 3).
+
+    Args:
+        points: p, shape (N, 3); R p is close to t in least squares.
+        towards: t, shape (N, 3).
+        mirror: True for the best matrix with determinant -1 instead, a rotation with a reflection.
+
+    References:
+        Kabsch, *A solution for the best rotation to relate two sets of vectors*, Acta
+        Crystallographica A, 1976.
+    """
+    left, _, right = np.linalg.svd(towards.T @ points)
+    side = np.linalg.det(left @ right) * (-1.0 if mirror else 1.0)
+    return np.asarray(left @ np.diag([1.0, 1.0, side]) @ right)
+
+
 def left_jacobian(vector: Array) -> Array:
     r"""Return the angular change in W per change of rotation vectors (..., 3), (..., 3, 3).
 

@@ -100,3 +100,18 @@ def test_the_left_jacobian_is_the_derivative_of_the_rotation():
             assert quaternions.cross_matrix(jacobian[:, k]) == pytest.approx(change, abs=1e-8)
     both = quaternions.left_jacobian(np.array([vector, 2 * vector]))
     assert both[0] == pytest.approx(jacobian, abs=1e-15)
+
+
+def test_the_best_rotation_turns_points_as_scipy_does():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(6, 3))
+    turn = Rotation.from_rotvec([0.4, -1.2, 2.0])
+    towards = turn.apply(points) + rng.normal(0.0, 0.05, (6, 3))
+    expected, _ = Rotation.align_vectors(towards, points)
+    np.testing.assert_allclose(
+        quaternions.best_rotation(points, towards), expected.as_matrix(), atol=1e-12
+    )
+    flat = points * [1.0, 1.0, -1.0]
+    mirrored = quaternions.best_rotation(flat, points, mirror=True)
+    np.testing.assert_allclose(mirrored, np.diag([1.0, 1.0, -1.0]), atol=1e-12)
+    assert np.linalg.det(quaternions.best_rotation(flat, points)) == pytest.approx(1.0)

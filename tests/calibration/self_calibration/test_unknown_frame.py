@@ -24,7 +24,7 @@ from calibration.self_calibration.synthetic import (
     measure_motor_angles,
 )
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.rotations import from_rotation_vector
+from carosac_toolkit.base.rotations import best_rotation, from_rotation_vector
 from carosac_toolkit.robot.file import parse_robot, robot_text
 from carosac_toolkit.robot.writer import robot_document
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
@@ -45,8 +45,7 @@ def loose(robot, sigma=0.5):
 
 def turn_to(points, target):
     """Points turned about the origin, and shifted by nothing, to fit others best."""
-    left, _, right = np.linalg.svd(points.T @ target)
-    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return best_rotation(points, target).T
 
 
 def frame_error(result, truth):
