@@ -14,6 +14,7 @@ from calibration.self_calibration.starting_points import quick_start
 from carosac_toolkit.base.errors import CarosacError
 
 SUSPICIOUS_NOISE_SHARE = 5e-4  # of the longest cable: noise of the line up to that is usual
+NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 NOISE_RATIO_MAX = 1.0 / 3.0  # of the noise: an explanation that leaves less is clearly better
 PRIOR_COST_MAX = 9.0  # for each shared unknown: three standard deviations from its prior
@@ -30,9 +31,10 @@ def suspects(problem: MotorAngleProblem, settled: SettledFit) -> tuple[str, ...]
     noise = settled.trust.line_sigma
     if problem.settings.line_sigma is not None:
         noise = _noise(problem, settled.fit)
-    if not many and noise <= SUSPICIOUS_NOISE_SHARE * problem.longest:
+    usual = noise <= SUSPICIOUS_NOISE_SHARE * problem.longest or np.isinf(noise)
+    if usual and not many:
         return ()
-    enough = np.inf if many else NOISE_RATIO_MAX * noise
+    enough = NOISE_SHARE_USUAL * problem.longest if many else NOISE_RATIO_MAX * noise
     return (*_exchanged(problem, noise, enough), *_one_cable(problem, settled, noise, enough))
 
 
@@ -56,7 +58,7 @@ def _exchanged(problem: MotorAngleProblem, noise: float, enough: float) -> list[
     names = problem.robot.cable_names
     return [
         f"with the motors {names[first]} and {names[second]} exchanged the line fits to "
-        f"{1e3 * left:.2g} mm instead of {1e3 * noise:.2g} mm: are these two swapped?"
+        f"{_compared(left, noise)}: are these two swapped?"
     ]
 
 
@@ -78,9 +80,14 @@ def _one_cable(
         return []
     return [
         f"without cable {problem.robot.cable_names[worst]} the line fits to "
-        f"{1e3 * left[worst]:.2g} mm instead of {1e3 * noise:.2g} mm: is this cable slack, off a "
-        "pulley, or unevenly wound?"
+        f"{_compared(left[worst], noise)}: is this cable slack, off a pulley, or unevenly wound?"
     ]
+
+
+def _compared(left: float, noise: float) -> str:
+    """Return the noise that is left in words, beside what it was if that is known."""
+    instead = f" instead of {1e3 * noise:.2g} mm" if np.isfinite(noise) else ""
+    return f"{1e3 * left:.2g} mm{instead}"
 
 
 def _noise(problem: MotorAngleProblem, start: SampleFit) -> float:

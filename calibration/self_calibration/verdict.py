@@ -14,7 +14,7 @@ from calibration.self_calibration.problem import POINT_LIKE_SHARE, MotorAnglePro
 from calibration.self_calibration.rivals import Rival, rival_warning
 from calibration.self_calibration.solver import SampleFit, Trust, equations
 from calibration.self_calibration.suggested_positions import most_informative
-from calibration.self_calibration.suspects import BLUNDER_SHARE_MAX
+from calibration.self_calibration.suspects import BLUNDER_SHARE_MAX, NOISE_SHARE_USUAL
 from carosac_toolkit.base.arrays import Array
 
 LOOSE_EXIT_SHARE = (
@@ -23,7 +23,6 @@ LOOSE_EXIT_SHARE = (
 NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
-LINE_NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
 TAUGHT_SHARE_MAX = 0.75  # of the exit points' sigma before: samples that leave more teach little
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
 FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
@@ -211,7 +210,7 @@ def warnings_of(
         covariance: Of the shared unknowns in the frame of the result, shape (m, m).
     """
     lines = [rival_warning(rival) for rival in rivals if rival.as_good][:1]
-    bad = misfits(problem, settled.trust, LINE_NOISE_SHARE_USUAL)
+    bad = misfits(problem, settled.trust, NOISE_SHARE_USUAL)
     lines += [bad] if bad else []
     far = problem.prior.deviation(settled.fit.shared)
     k = int(np.argmax(far))

@@ -12,10 +12,10 @@ from scipy.stats import chi2
 from benchmarks.unknown_robots import draw_unknown_robot
 from calibration.observability import Unobservable
 from calibration.robot_update import prior_covariance
-from calibration.self_calibration import calibrate
+from calibration.self_calibration.blunder_tests import settle
 from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.problem import MotorAngleProblem
-from calibration.self_calibration.rivals import rival_warning
+from calibration.self_calibration.rivals import Rival, better_rival, fits_better, rival_warning
 from calibration.self_calibration.settings import Distance, SelfCalibrationSettings
 from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import (
@@ -643,17 +643,16 @@ def test_samples_that_teach_nothing_about_known_exit_points_are_a_warning(spread
     assert teaches or warnings[0].startswith("the samples teach hardly anything about the exit p")
 
 
-def test_another_solution_that_fits_better_takes_the_place_of_the_best_one(monkeypatch):
+@pytest.mark.parametrize(("cost", "adopted"), [(-5.0, True), (-0.5, False), (5.0, False)])
+def test_another_solution_that_fits_better_is_adopted(cost, adopted):
     before, _, _, angles = scene(6, 40, known=())
-    expected = calibrate_motor_angles(angles, before)
-
-    def worst_first(problem):
-        return starts(problem)[::-1]
-
-    monkeypatch.setattr(calibrate, "starts", worst_first)
-    result = calibrate_motor_angles(angles, before)
-    assert exits(result) == pytest.approx(exits(expected), abs=2e-3)
-    assert all(rival.cost > 0.0 for rival in result.rivals)
+    settings = SelfCalibrationSettings()
+    problem = MotorAngleProblem(before, angles, settings)
+    settled = settle(problem, starts(problem)[0], settings)
+    rival = Rival(cost=cost, distance=1.0, mirrored=False, outside=0.0, fit=settled.fit)
+    assert (better_rival(problem, settled, [rival]) is rival) == adopted
+    noisier = replace(settled, trust=replace(settled.trust, line_sigma=2e-3))
+    assert fits_better(settled, noisier) and not fits_better(noisier, settled)
 
 
 def test_a_rival_says_whether_it_fits_better_or_worse():
