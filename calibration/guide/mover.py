@@ -40,6 +40,10 @@ PREDICTED_SHARE = 0.5  # of the way to a limit: predicted departure of a tension
 SLACK_SHARE = 0.5  # of the way from a limit to the lowest tension used on purpose: slack below
 SLACK_STRAIN_MAX = 0.01  # of a cable: wound in while it, or another, is slack
 CARRIED_SHARE = 0.5  # of the weight: sum of tensions below which load cells are wrong
+PROBE_SHARE = 0.5  # of the way from a limit to the lowest tension used on purpose: wound to probe
+PROBE_PERIODS = 10  # in which tensions follow, and over which they are averaged
+PROBE_SEEN_MIN = 0.25  # of the change that is expected: a load cell that shows less is broken
+PROBE_LEAST = 0.5  # of the largest change of a tension: cables that change less are not judged
 WOUND_RATIO = 2.0  # of the winding that turns a move back: winding that stops the guide
 
 
@@ -115,6 +119,8 @@ class DriverMover:
             Stopped: The driver does not go on, or load cells do not show what is wound.
         """
         path = self.while_holding(lambda: self._path(known, start, end))
+        if path.way and self.measures_tension:
+            self._probe(path)
         share, length, waited, back = 0.0, path.length[0], 0, False
         winding = _Winding(self._robot, self._low - self._limits[0])
         while True:
@@ -136,6 +142,39 @@ class DriverMover:
             self._command = self._command + following - length + change
             length = following
             self._pass()
+
+    def _probe(self, path: _Path) -> None:
+        """Wind a little before a move, and require that every load cell notices.
+
+        Raises:
+            Stopped: One does not, though the platform stands still.
+        """
+        _, spare, _ = path.point(0.0)
+        pull = spare @ spare.sum(axis=0)
+        pull = pull * np.sign(pull.sum())
+        pull = pull * PROBE_SHARE * float((self._low - self._limits[0]).min()) / np.abs(pull).max()
+        before = self._averaged()
+        for _ in range(PROBE_PERIODS):
+            self._command = self._command + path.wound(0.0, pull / PROBE_PERIODS)
+            self._pass()
+        change = self._averaged() - before
+        judged = np.abs(pull) >= PROBE_LEAST * np.abs(pull).max()
+        seen = np.where(judged, change / pull, 1.0)
+        k = int(np.argmin(seen))
+        if seen[k] < PROBE_SEEN_MIN:
+            raise Stopped(
+                f"the load cell of cable {self._robot.cable_names[k]} shows {change[k]:+.2g} N "
+                f"where winding should make {pull[k]:+.2g} N: look at cell and cable"
+            )
+
+    def _averaged(self) -> Array:
+        """Return the mean tensions, once they have followed the last command [N], shape (n,)."""
+        readings = []
+        for k in range(2 * PROBE_PERIODS):
+            self._pass()
+            if k >= PROBE_PERIODS and self._periods.tension is not None:
+                readings.append(self._periods.tension)
+        return np.asarray(np.mean(readings, axis=0))
 
     def _pass(self) -> None:
         """Send the command and let one period pass.

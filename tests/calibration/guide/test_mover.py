@@ -17,6 +17,7 @@ from calibration.self_calibration.suggested_positions import NoSafePosition
 from carosac_toolkit.loop.values import Stamped
 from tests.calibration.guide.scenes import QUICK, ROBOT, Recorded, driven, true_robot
 
+HELD_AFTER = 60  # commands: load cells have been probed
 BROKEN_AFTER = 700  # measurements: on the way to the first sample
 
 
@@ -80,16 +81,20 @@ def test_a_move_into_a_limit_turns_back_before_it(tmp_path):
 
 
 class Cautious(Recorded):
-    """A driver that sends less than it is told at first."""
+    """A driver that no longer sends what it is told, once a move has begun."""
 
     def __init__(self, driver):
         super().__init__(driver)
-        self.held, self.asked = None, []
+        self.held, self.asked, self._count = None, [], 0
 
     def command(self, command):
+        self._count += 1
+        if self._count < HELD_AFTER:
+            return self._driver.command(command)
+        if self.held is None:
+            self.held = np.array(command.unstrained_length)
         self.asked.append(command.unstrained_length[0])
-        length = command.unstrained_length if self.held is None else self.held
-        return self._driver.command(replace(command, unstrained_length=length))
+        return self._driver.command(replace(command, unstrained_length=self.held))
 
 
 def test_commands_go_on_from_what_was_really_sent(tmp_path):
@@ -98,7 +103,6 @@ def test_commands_go_on_from_what_was_really_sent(tmp_path):
     driver = Cautious(inner)
     driver.connect()
     mover = DriverMover(driver, ROBOT, QUICK, real_time=False)
-    driver.held = np.array(driver.measure().unstrained_length)
     home = ROBOT.home_position
     known = nothing_measured(ROBOT, SelfCalibrationSettings(), tension=True)
     mover.move(known, home, home + np.array([0.0, 0.05, 0.0]))
@@ -226,3 +230,23 @@ def test_cables_that_are_slack_at_first_are_taken_in():
     for _ in range(80):  # nothing is felt yet, and it is more than the weight of the platform
         assert not winding.is_too_much(np.ones(4), np.array([0.0, 0.0, 0.0, ROBOT.weight]), 0.0)
     assert not winding.is_too_much(np.ones(4), np.array([3.5, 3.5, 3.5, ROBOT.weight]), 0.0)
+
+
+def test_a_stuck_load_cell_that_makes_noise_is_found_before_the_next_move(tmp_path):
+    """It never shows the same twice, but it does not notice winding at rest either."""
+    rng = np.random.default_rng(0)
+
+    def noisy(now, last):
+        value = np.array(now.value)
+        value[0, 1] = last.value[0, 1] + rng.normal(0.0, 0.1)
+        return Stamped(time=now.time, value=value)
+
+    guide, driver = broken(tmp_path / "samples.csv", lambda now, last: now)
+    guide.resume()
+    samples = guide.collect()
+    next(samples)
+    next(samples)
+    driver._last, driver._fail = driver.measure().tension, noisy
+    driver._count = BROKEN_AFTER
+    with pytest.raises(Stopped, match=r"load cell of cable b shows .* where winding should make"):
+        next(samples)
