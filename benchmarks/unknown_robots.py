@@ -40,7 +40,8 @@ PER_CABLE = (
     "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
     "anchor_friction", "length_hysteresis",
 )  # fmt: skip
-SAMPLINGS = ("spread", "plane", "cluster", "line", "few")
+SAMPLINGS = ("spread", "plane", "cluster", "line", "few", "home")
+KNOWN_EXIT_SIGMA_SHARE = 0.015  # of the frame's size: exit points of robots sampled at home only
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +78,8 @@ def draw_unknown_robot(
         cables: 4 to 8.
         samples: Number of samples.
         sampling: ``spread`` over the workspace, or too little: in a ``plane``, in a small
-            ``cluster``, along a ``line``, or ``few`` samples.
+            ``cluster``, along a ``line``, ``few`` samples, or all at ``home``, which teach nothing
+            about exit points that are known well.
     """
     size, exits, low, high = _frame(rng, cables)
     n = cables
@@ -90,10 +92,14 @@ def draw_unknown_robot(
     if rng.random() < 0.5:  # each cable has a drum of another make
         radius = radius * rng.uniform(0.95, 1.05, n)
         wrong, gear = rng.normal(0.0, RADIUS_SHARE, n), GEAR + np.arange(n)
-    guess = exits + rng.normal(0.0, EXIT_SIGMA_SHARE * size, exits.shape)
+    spread = size * (KNOWN_EXIT_SIGMA_SHARE if sampling == "home" else EXIT_SIGMA_SHARE)
+    guess = exits + rng.normal(0.0, spread, exits.shape)
     anchors = _anchors(n, size)
     before = replace(
-        _robot(guess, radius, buildup, low, high, size), drum_gear=gear, anchor_points=anchors
+        _robot(guess, radius, buildup, low, high, size),
+        drum_gear=gear,
+        anchor_points=anchors,
+        exit_covariance=np.tile(spread**2 * np.eye(3), (n, 1, 1)),
     )
     arms = anchors[None]
     if n > 6:
@@ -189,6 +195,8 @@ def _sampled(rng: np.random.Generator, low: Array, high: Array, count: int, samp
         place = place[:, :1] * np.array([0.6, 0.6, 0.5]) + 0.01 * place
     elif sampling == "few":
         place = place[: 6 + int(rng.integers(3))]
+    elif sampling == "home":
+        place *= 0.0
     return place
 
 
@@ -208,7 +216,7 @@ def _robot(
             "name": "unknown",
             "cable_names": tuple("abcdefgh"[:n]),
             "exit_points": exits,
-            "exit_covariance": np.tile((EXIT_SIGMA_SHARE * size) ** 2 * np.eye(3), (n, 1, 1)),
+            "exit_covariance": None,
             "anchor_points": np.zeros((n, 3)),
             "length_max": np.full(n, 10.0 * size),
             "drum_radius": np.sqrt(radius**2 + buildup * np.linalg.norm(exits, axis=1)),
