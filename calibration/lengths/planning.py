@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.box_points import draw_in_box
 from calibration.lengths.model import predict
 from calibration.lengths.pose_path import PosesAt
 from calibration.lengths.result import LengthCalibration
@@ -22,7 +23,6 @@ from carosac_toolkit.robot.robot import Robot
 CANDIDATE_POSES = 400
 SUGGESTED_POSES_MAX = 40
 SUGGESTED_TURN_MAX_RAD = 0.2  # [rad]: largest rotation that is suggested, per axis
-EDGE_CANDIDATES_SHARE = 0.5  # share of the candidates that lie on the edges of the workspace box
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,17 +103,12 @@ def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
     """Draw poses of rest with tensions within the limits, half of them on the edges of the box."""
     from scipy.spatial.transform import Rotation
 
-    share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSES, 3))
-    for row in share[: int(EDGE_CANDIDATES_SHARE * CANDIDATE_POSES)]:
-        ends = rng.permutation(3)[:2]
-        row[ends] = np.sign(row[ends])
-    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    half = 0.5 * (robot.workspace_max - robot.workspace_min)
+    where = draw_in_box(robot, rng, CANDIDATE_POSES)
     turn = Rotation.from_rotvec(
         rng.uniform(-SUGGESTED_TURN_MAX_RAD, SUGGESTED_TURN_MAX_RAD, (CANDIDATE_POSES, 3))
     ).as_matrix()
     held = turn @ robot.home_rotation if robot.n >= 6 else None
-    rest = statics.inverse_kinematics(robot, middle + half * share, held)
+    rest = statics.inverse_kinematics(robot, where, held)
     good = rest.converged & rest.stable & ~rest.slack.any(axis=1) & rest.in_winch_range.all(axis=1)
     if good.sum() < SUGGESTED_POSES_MAX:
         allowed = "a robot that can rest in more than a tenth of its workspace box"

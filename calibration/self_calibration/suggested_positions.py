@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.box_points import EDGE_SHARE, draw_in_box
 from calibration.self_calibration.knowledge import Knowledge, spare_lengths
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.safe_tensions import safe_margin, tension_error
@@ -24,7 +25,6 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 
 CANDIDATE_POSITIONS = 600
 SUGGESTED_POSITIONS_MAX = 40
-EDGE_CANDIDATES_SHARE = 0.5  # share of the candidates that lie on the edges of the workspace box
 TENTATIVE_SHARE = 0.1  # of the candidates: the safest ones, where none is safe for sure
 PATH_SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a position, where it must be safe as well
 
@@ -134,7 +134,7 @@ def safe_positions(
     reach: Reach | None = None,
     *,
     candidates: int = CANDIDATE_POSITIONS,
-    edges: float = EDGE_CANDIDATES_SHARE,
+    edges: float = EDGE_SHARE,
 ) -> tuple[Array, Array]:
     """Draw positions that are safe to reach on a straight line.
 
@@ -185,14 +185,7 @@ def _candidates(
 
     Those out of reach are drawn towards a visited place.
     """
-    robot = problem.robot
-    share = rng.uniform(-1.0, 1.0, (count, 3))
-    for row in share[: int(edges * count)]:
-        ends = rng.permutation(3)[:2]
-        row[ends] = np.sign(row[ends])
-    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    half = 0.5 * (robot.workspace_max - robot.workspace_min)
-    where = middle + half * share
+    where = draw_in_box(problem.robot, rng, count, edges)
     if not np.isfinite(area.distance):
         return np.asarray(where)
     near = area.visited[rng.integers(0, len(area.visited), len(where))]
