@@ -131,13 +131,9 @@ class Guide:
         (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
         if self.samples.names and not self._taut(rest):
             self._mover.move(self._known, now.position, now.position)
-            rest = self._mover.rest()
-            if not self._taut(rest):
-                raise CarosacError(
-                    f"cables are slack: {_newtons(rest)}; allowed: all of them above "
-                    f"{self._taut_min.min():.3g} N. Pull them taut where the platform is, and "
-                    "start again"
-                )
+            rest = self._taut_rest(
+                "cables are slack", "Pull them taut where the platform is, and start again"
+            )
             (now,) = surprises(self._known, self.samples.one("now", rest), self._here)
         if self._taut(rest) and now.chance < FOREIGN_CHANCE:
             raise CarosacError(
@@ -189,13 +185,9 @@ class Guide:
         """Tighten the cables at home, and take what is there for home."""
         home = self._robot.home_position
         remark = self._mover.move(self._known, home, home)
-        rest = self._mover.rest()
-        if not self._taut(rest):
-            raise CarosacError(
-                f"the cables are not taut at home: {_newtons(rest)}; allowed: all of them above "
-                f"{self._taut_min.min():.3g} N. Tighten them by hand, or raise "
-                "home"
-            )
+        rest = self._taut_rest(
+            "the cables are not taut at home", "Tighten them by hand, or raise home"
+        )
         self.samples.add(HOME_SAMPLE, rest)
         self._take(refit(self._known, self.samples.measured(), home[None]))
         return self._progress(HOME_SAMPLE, home, None, remark, rest)
@@ -247,6 +239,16 @@ class Guide:
         assert self.fit is not None
         apart = np.linalg.norm(self.fit.position - position, axis=1).min()
         return bool(apart > 0.5 * self._reach().distance * self._settings.first_reach)
+
+    def _taut_rest(self, fault: str, advice: str) -> Rest:
+        """Read the sensors at rest; refuse cables that are not taut."""
+        rest = self._mover.rest()
+        if self._taut(rest):
+            return rest
+        raise CarosacError(
+            f"{fault}: {_newtons(rest)}; allowed: all of them above {self._taut_min.min():.3g} N. "
+            f"{advice}"
+        )
 
     def _taut(self, rest: Rest) -> bool:
         """Return whether all cables are taut, as far as that is known."""
