@@ -20,6 +20,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.physics.cable.drum import Drums
 from carosac_toolkit.robot.robot import Robot
+from tests.robots import PER_CABLE
 
 EXIT_SIGMA_SHARE = 0.1  # of the frame's size, per axis: exit points are known that well before
 RADIUS_SHARE = 0.01  # 1 sigma of the drums' radius
@@ -34,12 +35,6 @@ LINE_SIGMA_M = 0.5e-3
 DISTANCE_SIGMA_M = 1e-3
 BLUNDER_SHARE = 0.03  # of the samples have one cable off by 1 to 10 % of the frame's size
 GEAR = 10.0
-PER_CABLE = (
-    "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
-    "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
-    "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
-    "anchor_friction", "length_hysteresis",
-)  # fmt: skip
 SAMPLINGS = ("spread", "plane", "cluster", "line", "few", "home")
 KNOWN_EXIT_SIGMA_SHARE = 0.015  # of the frame's size: exit points of robots sampled at home only
 

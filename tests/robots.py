@@ -119,6 +119,13 @@ def _robot(
     )
 
 
+# Fields with one value a cable, but for its name and points.
+PER_CABLE = (
+    "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
+    "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
+    "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
+    "anchor_friction", "length_hysteresis",
+)  # fmt: skip
 EXITS = {2: [(-3, 0, 6), (3, 0, 6)], 3: [(-3, -2, 6), (3, -2, 6), (0, 3.5, 6)]}
 ANCHORS = {2: [(-0.2, 0, 0), (0.2, 0, 0)], 3: [(-0.2, -0.15, 0), (0.2, -0.15, 0), (0, 0.25, 0)]}
 
@@ -126,17 +133,11 @@ ANCHORS = {2: [(-0.2, 0, 0), (0.2, 0, 0)], 3: [(-0.2, -0.15, 0), (0.2, -0.15, 0)
 def hanging(n: int) -> Robot:
     """Return a platform of 10 kg on 2 or 3 cables, 6 m high, with the ropes of `carosac`."""
     robot = load_robot("carosac")
-    per_cable = (
-        "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
-        "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
-        "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
-        "anchor_friction", "length_hysteresis",
-    )  # fmt: skip
     return replace(
         robot, name=f"hanging_{n}", cable_names=tuple(f"c{i}" for i in range(n)),
         exit_points=np.array(EXITS[n], float), anchor_points=np.array(ANCHORS[n], float),
         mass=10.0, center_of_mass=np.array([0.0, 0.0, -0.2]), inertia=np.diag([0.3, 0.3, 0.4]),
         workspace_min=np.array([-1.0, -0.5, 1.0]), workspace_max=np.array([1.0, 0.5, 4.0]),
         home_position=np.array([0.0, 0.0, 2.0]),
-        **{name: getattr(robot, name)[:n] for name in per_cable},
+        **{name: getattr(robot, name)[:n] for name in PER_CABLE},
     )  # fmt: skip

@@ -29,7 +29,7 @@ from carosac_toolkit.robot.file import parse_robot, robot_text
 from carosac_toolkit.robot.writer import robot_document
 from tests.calibration.self_calibration.scenes import EXITS, robots, scene
 from tests.calibration.self_calibration.test_calibrate import SILENT, exits
-from tests.robots import eight_cable_robot
+from tests.robots import PER_CABLE, eight_cable_robot
 
 SPAN = float(np.linalg.norm(EXITS[0] - EXITS[1]))
 TAPE = Distance(first="a", second="b", length=SPAN, sigma=1e-5)
@@ -319,11 +319,8 @@ def test_flat_crowded_and_few_samples_are_refused_with_the_reason(change, messag
 def test_three_cables_have_nothing_to_spare():
     before, truth, place, _ = scene(12, 30, known=())
     per_cable = (
-        "cable_names", "pulley_radius", "swivel_axis", "run_length", "anchor_points",
-        "linear_density", "axial_stiffness", "axial_damping", "cable_diameter", "tension_min",
-        "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min", "length_max",
-        "drum_radius", "drum_buildup", "drum_gear", "drum_advantage", "exit_points",
-        "exit_friction", "anchor_friction", "length_hysteresis",
+        *PER_CABLE, "cable_names", "exit_points", "anchor_points", "drum_radius", "drum_buildup",
+        "drum_gear", "drum_advantage",
     )  # fmt: skip
     before, truth = (
         replace(robot, exit_covariance=None, **{n: getattr(robot, n)[:3] for n in per_cable})
