@@ -376,14 +376,12 @@ class Fitter:
         have not followed yet looks worse than where it leads.
         """
         jacobians = self._jacobians(at, coarse=True, starts=True)
+        information, gradient = self._normal(at, errors, jacobians, noise)
+        hessian = information + self._precision
         own = [rows[self._count :] for rows in self._own]
         trial = at.copy()
-        for rows, error, jacobian in zip(own, errors, jacobians, strict=True):
-            flat = jacobian[:, :, self._count :].reshape(-1, len(rows))
-            weights = noise.weights(error).reshape(-1, 1)
-            hessian = flat.T @ (weights * flat) + self._precision[np.ix_(rows, rows)]
-            gradient = flat.T @ (weights[:, 0] * error.ravel()) + at[rows]
-            trial[rows] -= np.linalg.solve(hessian, gradient)
+        for rows in own:
+            trial[rows] -= np.linalg.solve(hessian[np.ix_(rows, rows)], gradient[rows])
         trials, good = self._simulated([trial[None]] * len(self._runs), self._time_step)
         point, found = at.copy(), list(errors)
         for k, rows in enumerate(own):
