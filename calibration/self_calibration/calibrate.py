@@ -26,7 +26,9 @@ from calibration.self_calibration.verdict import (
     check_rotation,
     warnings_of,
 )
+from calibration.self_calibration.vertical import find_vertical
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.robot.robot import Robot
 
 HEADING_STEPS = 5
@@ -86,6 +88,9 @@ def calibrate_motor_angles(
         frame = _frame(problem, settled.fit, settled.trust)
         rivals = find_rivals(problem, settled, frame, others)
     check_reference(problem, settled.trust)
+    if frame.level and frame.vertical is not None:
+        problem, settled = _turned(problem, settled, _upright(frame.vertical.up))
+        frame = _frame(problem, settled.fit, settled.trust)
     if settings.x_through is not None:
         problem, settled = _headed(problem, settled, settings.x_through)
         frame = _frame(problem, settled.fit, settled.trust)
@@ -107,6 +112,22 @@ def _headed(
         cosine, sine = np.array([x, y]) / np.hypot(x, y)
         step = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         rotation = step @ rotation
+    return _turned(problem, settled, rotation)
+
+
+def _upright(up: Array) -> Array:
+    """Return the shortest turn that brings a unit vector upwards, shape (3, 3)."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, up[2])
+    return np.asarray(from_rotation_vector(axis * (angle / max(sine, np.finfo(float).tiny))))
+
+
+def _turned(
+    problem: MotorAngleProblem, settled: SettledFit, rotation: Array
+) -> tuple[MotorAngleProblem, SettledFit]:
+    """Turn everything about home, and settle again."""
+    home = problem.robot.home_position
     turned = problem.turned(rotation)
     start = replace(
         settled.fit,
@@ -120,7 +141,10 @@ def _frame(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> Fra
     """Return the frame of a solution."""
     system = equations(problem, solution.shared, solution.position, trust)
     data = system.information - problem.before(solution.shared).information
-    return find_frame(problem, solution.shared, data)
+    vertical = find_vertical(
+        problem, solution.shared, solution.position, system.by_shared, trust.lengths
+    )
+    return find_frame(problem, solution.shared, data, vertical)
 
 
 def _result(

@@ -20,6 +20,10 @@ them where the shape is known:
 
 .. math:: \Sigma'' = \Sigma' + M (M^\top \Lambda M)^{-1} M^\top.
 
+Where measured tensions tell the vertical better than the robot file does, the frame is the one in
+which the cables pull straight up: two rows of C are the derivative of that direction, and M is as
+uncertain as it.
+
 References:
     Baarda, *S-transformations and criterion matrices*, Netherlands Geodetic Commission, 1973.
 """
@@ -36,6 +40,7 @@ from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.reference import Reference
 from calibration.self_calibration.rigid_motions import FREE_MOTION_SHARE, HELD_SIGMA_SHARE, moves
 from calibration.self_calibration.solver import SampleFit, inverse
+from calibration.self_calibration.vertical import Vertical
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import best_rotation
@@ -43,6 +48,9 @@ from carosac_toolkit.base.rotations import best_rotation
 SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
 HEADING_SHARE_MIN = 0.05  # of its distance from home that an exit point must be beside home
 AXIS_NAMED_MIN = 0.01  # smaller parts of an axis are not named
+TILTS = np.eye(6)[:, 3:5]  # turns about x and y through home
+TURN_ABOUT_Z = np.eye(6)[:, 5]
+TILTED_BY = np.array([[0.0, 1.0], [-1.0, 0.0]])  # direction of z, x and y, by a turn about x and y
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +67,9 @@ class Frame:
         hold: Motion, along the free ones, by a change of the shared unknowns, shape (f, m).
         move: Change of the shared unknowns by the free motions, shape (m, f).
         heading: Cable whose exit point is on the x axis as seen from above, or None.
+        vertical: What measured tensions tell of the vertical, where lengths do not, or None.
+        level: True if the tensions make the frame upright; the first two free motions are then the
+            tilts that they tell.
         convention: Covariance of the exit points by all motions that are held by convention, as
             far as they were known before [m^2], shape (3 n, 3 n).
     """
@@ -71,13 +82,14 @@ class Frame:
     hold: Array
     move: Array
     heading: str | None
+    vertical: Vertical | None
+    level: bool
     convention: Array
 
     @property
     def turns(self) -> Array:
         """Free turns, as unit vectors of W, shape (3, t)."""
-        axes, size, _ = np.linalg.svd(self.free[3:], full_matrices=False)
-        return np.asarray(axes[:, size > AXIS_NAMED_MIN])
+        return _turns(self.free)
 
     @property
     def center(self) -> Array:
@@ -161,10 +173,12 @@ class Frame:
                 f"{_origin(self.reference.axes)} is by convention: sample "
                 f"{self.reference.sample}, the reference, is at home"
             )
-        if self.free.shape[1]:
+        if self.vertical is not None:
+            lines.append(self._vertical_sentence(self.vertical))
+        if self._untold.shape[1]:
             by = "as the exit points of the robot file are turned, which fits them best"
             if self.heading is not None:
-                rest = f", the rest {by}" if self.free.shape[1] > 1 else ""
+                rest = f", the rest {by}" if self._untold.shape[1] > 1 else ""
                 by = f"x through exit point {self.heading}{rest}"
             lines.append(
                 f"nothing that was measured tells {self._unknown()}: by convention {by}; sigmas "
@@ -172,10 +186,30 @@ class Frame:
             )
         return lines
 
+    @property
+    def _untold(self) -> Array:
+        """Free motions that tensions do not tell either, shape (6, u)."""
+        return self.free[:, 2 * int(self.level) :]
+
+    def _vertical_sentence(self, vertical: Vertical) -> str:
+        """Return what the measured tensions tell of the vertical."""
+        if vertical.reason:
+            return f"the measured tensions do not tell the vertical: {vertical.reason}"
+        known = f"{np.degrees(vertical.sigma):.2g} deg"
+        if self.level:
+            return (
+                f"z is upright by the measured tensions, which tell the vertical to {known}, "
+                "beside what the exit points are wrong by; sigmas are those in this frame"
+            )
+        return (
+            f"the measured tensions tell the vertical to {known}; the exit points of the robot "
+            "file know it better"
+        )
+
     def _unknown(self) -> str:
         """Name the free motions."""
-        turns = self.turns
-        count, others = turns.shape[1], self.free.shape[1] - turns.shape[1]
+        turns = _turns(self._untold)
+        count, others = turns.shape[1], self._untold.shape[1] - turns.shape[1]
         words = {0: "", 1: f"the turn about {_axis(turns)}", 2: "two turns", 3: "any turn"}[count]
         shift = {0: "", 1: "a shift", 2: "two shifts", 3: "any shift"}[others]
         return " and ".join(part for part in (words, shift) if part) + " of the whole set-up"
@@ -191,16 +225,24 @@ class Frame:
             "free_turns": self.turns.T,
             "free_motions": self.free.shape[1],
             "x_through": self.heading,
+            "vertical": None if self.vertical is None else self.vertical.data(),
+            "upright_by_tensions": self.level,
         }
 
 
-def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) -> Frame:
-    """Find the motions of the whole set-up that the data leave free.
+def find_frame(
+    problem: MotorAngleProblem,
+    shared: Array,
+    information: Array,
+    vertical: Vertical | None = None,
+) -> Frame:
+    """Find the motions of the whole set-up that the lengths leave free.
 
     Args:
         problem: The samples.
         shared: Values of the shared unknowns, shape (m,).
         information: On them, of the data alone, positions unknown, shape (m, m).
+        vertical: By the measured tensions, if there are any.
 
     Raises:
         InvalidField: The x axis is to go through an exit point that is above or below home, or the
@@ -213,32 +255,37 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
     values, vectors = np.linalg.eigh(motion.T @ information @ motion / problem.robot.n)
     free = vectors[:, values < (FREE_MOTION_SHARE * lever) ** -2]
     heading = problem.settings.x_through
-    up = np.eye(6)[5]
     if heading is not None:
-        if np.linalg.norm(free.T @ up) < SAME_MOTION:
-            allowed = "nothing, as what was measured tells the heading"
-            if np.linalg.norm(free[5]) > AXIS_NAMED_MIN:
-                allowed = (
-                    "nothing, as the heading is not free about home: known coordinates, or a file, "
-                    "hold another place"
-                )
-            raise InvalidField("x_through", repr(heading), allowed)
-        rest = free - np.outer(up, free.T @ up)
-        axes, size, _ = np.linalg.svd(rest, full_matrices=False)
-        free = np.column_stack([up, axes[:, size > 0.5]])
+        _check_heading(problem, heading, exits, free)
+    tilts = bool((np.linalg.norm(free.T @ TILTS, axis=0) > SAME_MOTION).all())
+    held = _held(problem, free)
+    spread = _spread_before(problem, held)
+    tilt = held[3:5].T @ TILTED_BY.T / lever  # of z, by these motions
+    level = (
+        tilts
+        and vertical is not None
+        and not vertical.reason
+        and vertical.sigma**2 < float(np.linalg.eigvalsh(tilt.T @ spread @ tilt)[-1])
+    )
+    named = [*TILTS.T] * level + [TURN_ABOUT_Z] * (heading is not None)
+    if named:
+        first = np.array(named).T
+        axes, size, _ = np.linalg.svd(free - first @ (first.T @ free), full_matrices=False)
+        free = np.column_stack([first, axes[:, size > 0.5]])
     move = motion @ free
     hold = move.T @ problem.prior.information
+    if level and vertical is not None:
+        hold[:2] = vertical.hold
+        told = tilt @ np.linalg.solve(vertical.covariance, tilt.T)
+        spread = np.linalg.inv(np.linalg.inv(spread) + told)
     if heading is not None:
-        ray = exits[problem.robot.cable_names.index(heading)] - home
-        if np.hypot(ray[0], ray[1]) < HEADING_SHARE_MIN * np.linalg.norm(ray):
-            allowed = (
-                f"an exit point beside home: that of {heading} is nearly on the vertical through "
-                "home, and tells no heading"
-            )
-            raise InvalidField("x_through", repr(heading), allowed)
-        hold[0] = 0.0
-        place = problem.exits[problem.robot.cable_names.index(heading)]
-        hold[0, place] = np.array([-ray[1], ray[0], 0.0]) / np.hypot(ray[0], ray[1])
+        cable = problem.robot.cable_names.index(heading)
+        x, y, _ = exits[cable] - home
+        row = 2 * int(level)
+        hold[row] = 0.0
+        hold[row, problem.exits[cable]] = np.array([-y, x, 0.0]) / np.hypot(x, y)
+    displaced = (moves(exits - home, lever).reshape(-1, 6)) @ held
+    convention = displaced @ spread @ displaced.T
     return Frame(
         reference=problem.reference,
         by_exit_points=np.asarray(
@@ -250,26 +297,53 @@ def find_frame(problem: MotorAngleProblem, shared: Array, information: Array) ->
         hold=np.linalg.solve(hold @ move, hold) if free.shape[1] else hold,
         move=move,
         heading=heading,
-        convention=_convention(problem, shared, free),
+        vertical=vertical if tilts else None,
+        level=level,
+        convention=np.asarray(0.5 * (convention + convention.T)),
     )
 
 
-def _convention(problem: MotorAngleProblem, shared: Array, free: Array) -> Array:
-    """Return the prior covariance of the exit points by motions held by convention, (3 n, 3 n)."""
+def _check_heading(problem: MotorAngleProblem, heading: str, exits: Array, free: Array) -> None:
+    """Refuse an x axis through an exit point where the heading is known, or no exit point tells."""
+    if np.linalg.norm(free.T @ TURN_ABOUT_Z) < SAME_MOTION:
+        allowed = "nothing, as what was measured tells the heading"
+        if np.linalg.norm(free[5]) > AXIS_NAMED_MIN:
+            allowed = (
+                "nothing, as the heading is not free about home: known coordinates, or a file, "
+                "hold another place"
+            )
+        raise InvalidField("x_through", repr(heading), allowed)
+    ray = exits[problem.robot.cable_names.index(heading)] - problem.robot.home_position
+    if np.hypot(ray[0], ray[1]) < HEADING_SHARE_MIN * np.linalg.norm(ray):
+        allowed = (
+            f"an exit point beside home: that of {heading} is nearly on the vertical through "
+            "home, and tells no heading"
+        )
+        raise InvalidField("x_through", repr(heading), allowed)
+
+
+def _held(problem: MotorAngleProblem, free: Array) -> Array:
+    """Return the motions that are held by convention, shape (6, h)."""
     tied = np.zeros(6, dtype=np.bool_)
     if problem.reference is not None:
         tied[:3] = problem.reference.axes
         tied[3 : problem.own] = problem.known_axes[problem.reference.row, 3:]
     axes, size, _ = np.linalg.svd(np.hstack([free, np.eye(6)[:, tied]]), full_matrices=False)
-    held, block, file = axes[:, size > AXIS_NAMED_MIN], problem.exits.ravel(), problem.file_prior
-    before, motion = (
-        moves(problem.points(values) - problem.robot.home_position, problem.longest).reshape(-1, 6)
-        @ held
-        for values in (file.mean, shared)
-    )
-    information = before.T @ file.information[np.ix_(block, block)] @ before
-    covariance = motion @ np.linalg.solve(information, motion.T)
-    return np.asarray(0.5 * (covariance + covariance.T))
+    return np.asarray(axes[:, size > AXIS_NAMED_MIN])
+
+
+def _spread_before(problem: MotorAngleProblem, held: Array) -> Array:
+    """Return the covariance of motions (6, h), by the robot file, shape (h, h)."""
+    block, file = problem.exits.ravel(), problem.file_prior
+    rays = problem.points(file.mean) - problem.robot.home_position
+    motion = moves(rays, problem.longest).reshape(-1, 6) @ held
+    return np.asarray(np.linalg.inv(motion.T @ file.information[np.ix_(block, block)] @ motion))
+
+
+def _turns(motions: Array) -> Array:
+    """Return the turns among motions (6, f), as unit vectors of W, shape (3, t)."""
+    axes, size, _ = np.linalg.svd(motions[3:], full_matrices=False)
+    return np.asarray(axes[:, size > AXIS_NAMED_MIN])
 
 
 def mean_distance(exits: Array) -> float:
