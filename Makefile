@@ -33,7 +33,7 @@ demo: $(STAMP)  ## compare five controllers on one fast move, with an animation 
 
 test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadgroup
+	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check

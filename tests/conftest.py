@@ -17,7 +17,10 @@ DOT = bytes.fromhex(  # a picture of one pixel
     "0000000b4944415478da6364f80f00010501012718e3660000000049454e44ae426082"
 )
 
-ALONE = ("test_examples.py", "test_notebooks.py")  # whose tests are slow and share nothing
+SLOW = (  # files that begin first, so that no worker is left alone with one of them
+    "test_unknown_frame.py", "test_training.py", "test_notebooks.py", "test_examples.py",
+    "test_many_runs.py", "test_docs_commands.py",
+)  # fmt: skip
 
 
 def pytest_sessionstart() -> None:
@@ -31,12 +34,9 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a file on one worker, where they share fixtures; not those of `ALONE`."""
-    for number, item in enumerate(items):
-        group = f"{item.path.name}-{number}" if item.path.name in ALONE else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
+    """Begin with the slow files; a file's tests stay together and share fixtures."""
+    items.sort(key=lambda item: item.path.name not in SLOW)
 
 
 @pytest.fixture(scope="module")
