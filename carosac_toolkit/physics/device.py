@@ -56,12 +56,18 @@ def lever(robot: Robot) -> float:
 
 def upload_robots(robots: Sequence[Robot], device: str) -> tuple[wp.array, wp.array]:
     """Upload cables (B, n) and bodies (B,) of one robot per world; one robot serves a batch."""
-    cables = np.stack([cable_records(robot) for robot in robots])
-    bodies = np.stack([body_record(robot) for robot in robots])
     return (
-        wp.array(cables, dtype=Cable, device=device),
-        wp.array(bodies, dtype=StaticBody, device=device),
+        wp.array(stacked(cable_records, robots), dtype=Cable, device=device),
+        wp.array(stacked(body_record, robots), dtype=StaticBody, device=device),
     )
+
+
+def stacked(record: Callable[[Robot], NDArray[Any]], robots: Sequence[Robot]) -> NDArray[Any]:
+    """Stack a record of each robot, made once where a robot occurs again."""
+    rows: dict[int, int] = {}
+    which = [rows.setdefault(id(robot), len(rows)) for robot in robots]
+    different = {id(robot): robot for robot in robots}
+    return np.asarray(np.stack([record(different[key]) for key in rows])[which])
 
 
 class Buffers:
@@ -197,8 +203,7 @@ def kept_buffers(
 
     def make() -> Buffers:
         buffers = Buffers(device, shapes())
-        sizes = [body_record(one)["size"] for one in robots_of(robot)]
-        buffers.length_scale = float(np.mean(sizes))
+        buffers.length_scale = float(stacked(body_record, robots_of(robot))["size"].mean())
         return buffers
 
     if size > KEPT_BATCH_MAX:

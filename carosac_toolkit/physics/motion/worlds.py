@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
-from carosac_toolkit.physics.device import body_record, cable_records
+from carosac_toolkit.physics.device import body_record, cable_records, stacked
 from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
@@ -62,12 +62,12 @@ def upload_plants(
     robots = fleet.robots
     winds = np.zeros(len(robots), dtype=Wind.numpy_dtype())
     winds["deviation"], winds["time"] = wind_force, wind_time
-    winds["interval"] = [gust_interval(robot) for robot in robots]
+    winds["interval"] = stacked(lambda robot: np.array(gust_interval(robot)), robots)
     out = world_kernels.Plants()
     for name, kind, records in (
-        ("cables", Cable, np.stack([cable_records(robot) for robot in robots])),
-        ("bodies", DynamicBody, np.stack([rigid_body_record(robot) for robot in robots])),
-        ("winches", Winch, np.stack([winch_records(robot, winch) for robot in robots])),
+        ("cables", Cable, stacked(cable_records, robots)),
+        ("bodies", DynamicBody, stacked(rigid_body_record, robots)),
+        ("winches", Winch, stacked(lambda robot: winch_records(robot, winch), robots)),
         ("winds", Wind, winds),
     ):
         setattr(out, name, wp.array(records, dtype=kind, device=device))
