@@ -79,6 +79,7 @@ class Simulator:
         cable_drag: float | None = None,
         winch: WinchSettings | None = None,
         iterations: int = 20,
+        at_home: bool = True,
     ) -> None:
         """Place all worlds at rest at home; those that cannot rest there have failed until `reset`.
 
@@ -102,6 +103,7 @@ class Simulator:
                 0.5 on ``carosac``, scales with the robot (the first, where there are several).
             winch: Response of the drives to commands; None takes the defaults.
             iterations: Passes over the constraints in a time step, for ``xpbd``.
+            at_home: False places no world: all have failed until `reset`, which saves time.
 
         Raises:
             InvalidField: Names the argument; no kernel has run then.
@@ -145,7 +147,10 @@ class Simulator:
         self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
         self._dynamics = self._make_dynamics(float(drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
-        self._go_home()
+        if at_home:
+            self._go_home()
+        else:
+            self._worlds.failed.fill_(1)
 
     def _make_dynamics(self, drag: float, iterations: int) -> NodelessDynamics | ParticleDynamics:
         """Allocate the model of the cables."""

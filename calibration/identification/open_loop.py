@@ -344,7 +344,7 @@ class _Worlds:
     ) -> None:
         """Place B worlds; lengths have the shape (M, B, n)."""
         self._lengths = lengths
-        self._simulator = Simulator(robots, cables="catenary", time_step=time_step)
+        self._simulator = Simulator(robots, cables="catenary", time_step=time_step, at_home=False)
         self._ready = np.zeros(len(robots), dtype=np.bool_)
         for which in (starts.hangs & ~starts.moves, starts.moves):
             self._place(np.flatnonzero(which), starts)

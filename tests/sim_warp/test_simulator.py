@@ -484,3 +484,18 @@ def test_a_world_that_has_failed_at_home_does_not_hold_up_the_others():
     assert state.position[1] == pytest.approx(heavy.home_position)
     sim.step(state.unstrained_length - 0.05, 0.2)
     assert sim.state.numpy().time == pytest.approx([0.2, 0.0])
+
+
+@pytest.mark.parametrize("cables", ["catenary", "particles"])
+def test_worlds_that_are_not_placed_have_failed_until_they_are_reset(cables):
+    robot = ct.load_robot("carosac")
+    there = robot.home_position + [0.3, -0.2, 0.4]
+    late = Simulator(robot, worlds=2, cables=cables, at_home=False)
+    late.step(np.tile(robot.length_min, (2, 1)), 0.01)
+    assert late.state.numpy().failed.all()
+    usual = Simulator(robot, worlds=2, cables=cables)
+    for simulator in (late, usual):
+        simulator.reset(np.tile(there, (2, 1)))
+        simulator.follow(simulator.state.numpy().unstrained_length.copy(), 0.1)
+    assert not late.state.numpy().failed.any()
+    assert (late.state.numpy().position == usual.state.numpy().position).all()
