@@ -14,7 +14,7 @@ number of a signal, such as 130, that it was stopped.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,13 +25,14 @@ import tyro
 from calibration.guide import progress as shown
 from calibration.guide.drivers import check_speed
 from calibration.guide.fit import exit_distances
-from calibration.guide.guide import Guide
+from calibration.guide.guide import Guide, Progress
 from calibration.guide.rest import Stopped
 from calibration.guide.samples import SampleFile
 from calibration.guide.session import SIMULATED, Session, real, simulated
 from calibration.guide.settings import GuideSettings
 from calibration.guide.simulated import taped_distance
 from calibration.guide.verdict import Verdict, aligned_errors
+from calibration.guide.view import GuideView
 from calibration.report import print_sentences, write_new_robot
 from calibration.robot_update import check_output
 from calibration.self_calibration.calibrate import calibrate_motor_angles
@@ -43,7 +44,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.viewer.page import DEFAULT_PORT, Page
 
+Shown = Callable[[Progress], None]
 POINT_SHARE = 0.02  # of the longest cable: anchor points closer together count as one
 
 
@@ -88,6 +91,11 @@ class Options(CommonOptions):
     """Samples after which the guide gives up."""
     checks: int = GuideSettings.checks
     """Moves that are predicted before they are made."""
+    view: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Serve a page on this machine that shows each sample, and the exit points with ellipsoids of
+    two sigmas."""
+    port: int = DEFAULT_PORT
+    """With --view: port to serve at; if it is taken, the next free one."""
     speed: float = GuideSettings.speed
     """Largest speed of the platform [m/s]; slower where tensions may change quickly."""
     settings: Annotated[
@@ -123,8 +131,8 @@ def _run(
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
             resumed = guide.resume()
-            with _going_on_from(samples):
-                verdict = _guided(options, guide, session, settings, fresh=resumed is None)
+            with _going_on_from(samples), _page(options, guide) as show:
+                verdict = _guided(options, guide, session, settings, show, fresh=resumed is None)
         except Stopped as error:
             print(f"\nstopped: {error}; the same command goes on from {options.samples}")
             number = None if session.ending is None else session.ending.signal
@@ -178,10 +186,37 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
     )  # fmt: skip
 
 
+@contextlib.contextmanager
+def _page(options: Options, guide: Guide) -> Iterator[Shown]:
+    """Serve a page while the robot is guided, if one is wanted; yield what shows a sample."""
+
+    def printed(sample: Progress) -> None:
+        print(shown.line(sample), flush=True)
+
+    if not options.view:
+        yield printed
+        return
+
+    robot = guide.known.problem.robot
+    page = Page(robot, f"guide: {robot.name}", port=options.port)
+    try:
+        print(f"watch it at {page.url}", flush=True)
+        view = GuideView(page, guide.known)
+
+        def both(sample: Progress) -> None:
+            printed(sample)
+            view.show(sample)
+
+        yield both
+    finally:
+        page.close()
+
+
 def _guided(
-    options: Options, guide: Guide, session: Session, settings: GuideSettings, *, fresh: bool
-) -> Verdict | None:
-    """Collect and check, and print each sample."""
+    options: Options, guide: Guide, session: Session, settings: GuideSettings, show: Shown,
+    *, fresh: bool,
+) -> Verdict | None:  # fmt: skip
+    """Collect and check; print each sample, and show it."""
     robot = guide.known.problem.robot
     print_sentences(
         [
@@ -201,7 +236,7 @@ def _guided(
     place: list[Array] = []
     true: list[Array] = []
     for sample in guide.collect():
-        print(shown.line(sample), flush=True)
+        show(sample)
         if truth is not None:
             true.append(truth())
     assert guide.fit is not None
@@ -211,7 +246,7 @@ def _guided(
     place = list(guide.fit.position)
     for check in guide.check():
         assert check.surprise is not None
-        print(shown.line(check), flush=True)
+        show(check)
         place.append(check.position)
         if truth is not None:
             true.append(truth())
