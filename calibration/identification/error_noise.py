@@ -25,7 +25,7 @@ from carosac_toolkit.base.arrays import Array
 # cables without inertia make an error of this size whatever the parameters are.
 SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
 RUNS_APART_MIN = 10  # recordings from which on their own scatter tells how large errors are
-MANY_SIGMA_SHARE = 0.1  # of the least sigma, where many recordings tell it
+MANY_SIGMA_SHARE = 0.02  # of the least sigma, where many recordings tell it
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 

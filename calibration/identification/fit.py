@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,6 +25,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
+# The same where many recordings are fitted. All forces and masses by the same factor give the same
+# motion: derivatives that are wrong by half a percent seem to tell that factor to half a percent.
+FINE_DIFFERENCE_STEP = 0.0005
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
@@ -39,6 +43,7 @@ NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
 CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
+STEP_ROUNDING = 1e-6  # share of a time step
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
@@ -96,7 +101,12 @@ class Fitter:
         self._settings = settings
         self._many = len(self._runs) >= RUNS_APART_MIN
         self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
-        self._time_step = settings.time_step * (MANY_STEP_RATIO if self._many else 1.0)
+        self._sways = self._many and all(run.window for run in self._runs)
+        self._time_step = settings.time_step
+        if self._sways:
+            self._time_step = _dividing(self._runs[0].poses.time, settings.time_step)
+        elif self._many:
+            self._time_step *= MANY_STEP_RATIO
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
@@ -127,7 +137,7 @@ class Fitter:
         """
         at = self._first
         whole = self._runs
-        for share in SHARES_OF_MANY if self._many else POSE_SHARES:
+        for share in SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES:
             self._runs = tuple(run.first(share) for run in whole)
             state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
             at = state.at
@@ -222,10 +232,23 @@ class Fitter:
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""
-        errors, good = self._simulated([at[None]] * len(self._runs), self._time_step)
+        errors, good = self._errors([at[None]] * len(self._runs))
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of the robot")
         return [each[0] for each in errors]
+
+    def _errors(self, points: Sequence[Array]) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Return errors as `_simulated`, of vanishing time steps where only the sway counts.
+
+        Many recordings tell frequencies better than time steps do that are short enough for a sway.
+        What these are wrong by falls with their square (Richardson).
+        """
+        errors, good = self._simulated(points, self._time_step)
+        if not self._sways:
+            return errors, good
+        fine, sound = self._simulated(points, 0.5 * self._time_step)
+        errors = [best + (best - each) / 3.0 for best, each in zip(fine, errors, strict=True)]
+        return errors, [one & other for one, other in zip(good, sound, strict=True)]
 
     def _simulated(
         self, points: Sequence[Array], time_step: float
@@ -257,9 +280,10 @@ class Fitter:
         for k, motion in enumerate(simulate_runs(jobs, time_step=time_step)):
             seen = motion.seen_by(self._unknowns.robot, jobs[k].robots)
             exists[k] &= ~motion.failed
+            run = self._runs[k]
             errors.append(
                 np.array([
-                    self._runs[k].poses.errors(seen.position[:, b], seen.rotation[:, b])
+                    run.seen(run.poses.errors(seen.position[:, b], seen.rotation[:, b]))
                     for b in range(len(points[k]))
                 ])
             )  # fmt: skip
@@ -284,22 +308,28 @@ class Fitter:
         That leads to where the search ends within a sigma, and exact ones lead to its end.
         """
         time_step = (COARSE_STEP_RATIO if coarse else 1.0) * self._time_step
-        steps = FINITE_DIFFERENCE_STEP * np.eye(len(at))
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         varied = [own[searched[own]] for own in self._own]
+        central = self._many and not coarse
+        step = FINE_DIFFERENCE_STEP if self._many and coarse else FINITE_DIFFERENCE_STEP
+        more = at + step * np.eye(len(at))
+        less = np.maximum(at - step * np.eye(len(at)), self._lower) if central else at[None]
+        width = np.diag(more) - (np.diag(less) if central else at)
         errors, good = self._simulated(
-            [np.vstack([at, at + steps[rows]]) for rows in varied],
+            [np.vstack([less[rows] if central else less, more[rows]]) for rows in varied],
             time_step,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
             if not sound.all():
-                row = int(np.argmin(sound))
-                beside = f" with another {self._names[rows[row - 1]]}" if row else ""
+                row = int(np.argmin(sound)) + len(rows) - len(sound)
+                stands = row == -1 and not central  # the first one is the robot itself
+                beside = "" if stands else f" with another {self._names[rows[row]]}"
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
             jacobian = np.zeros((*each.shape[1:], len(own)))
-            slopes = (each[1:] - each[0]) / FINITE_DIFFERENCE_STEP
+            before, after = each[: -len(rows)], each[-len(rows) :]
+            slopes = (after - before) / width[rows, None, None]
             jacobian[:, :, searched[own]] = np.moveaxis(slopes, 0, 2)
             jacobians.append(jacobian)
         return jacobians
@@ -344,7 +374,7 @@ class Fitter:
         for _ in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
             points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
-            trials, good = self._simulated([points] * len(self._runs), self._time_step)
+            trials, good = self._errors([points] * len(self._runs))
             costs = [
                 self._cost(point, [each[k] for each in trials], noise)
                 if all(each[k] for each in good)
@@ -354,7 +384,7 @@ class Fitter:
             best = int(np.argmin(costs))
             if np.isfinite(costs[best]):
                 point, found = points[best], [each[best] for each in trials]
-                if self._many:
+                if self._many and self._searched[: self._count].any():
                     point, found = self._restarted(point, found, noise)
                 cost = self._cost(point, found, noise)
                 if cost < lowest:
@@ -382,7 +412,7 @@ class Fitter:
         trial = at.copy()
         for rows in own:
             trial[rows] -= np.linalg.solve(hessian[np.ix_(rows, rows)], gradient[rows])
-        trials, good = self._simulated([trial[None]] * len(self._runs), self._time_step)
+        trials, good = self._errors([trial[None]] * len(self._runs))
         point, found = at.copy(), list(errors)
         for k, rows in enumerate(own):
             before = noise.cost(errors[k]) + float(at[rows] @ at[rows])
@@ -461,6 +491,15 @@ class _Search:
     jacobians: list[Array]
     count: int
     settled: bool
+
+
+def _dividing(time: Array, longest: float) -> float:
+    """Return a time step that divides the usual interval of some times (K,) evenly [s].
+
+    Half of it then divides that interval into twice as many.
+    """
+    interval = float(np.median(np.diff(time)))
+    return interval / math.ceil(interval / longest - STEP_ROUNDING) * (1.0 + STEP_ROUNDING)
 
 
 def _rms(errors: Array) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identification.error_noise import RUNS_APART_MIN
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.model_error import JudgedError, Residuals, judge_model_error
@@ -26,7 +27,7 @@ from calibration.identification.result import (
     Samples,
     ScoredRange,
 )
-from calibration.identification.runs import FittedRun
+from calibration.identification.runs import FittedRun, slow_window
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import choose_coordinates
@@ -186,7 +187,11 @@ def _identify(
     poses = [_check(part, robot) for part in parts]
     _check_motion(robot, parts, poses)
     unknowns = choose_coordinates(robot, chosen)
-    runs = [_prepared(part, robot, each, chosen) for part, each in zip(parts, poses, strict=True)]
+    windows = _windows(parts, robot, poses)
+    runs = [
+        _prepared(part, robot, each, chosen, window)
+        for part, each, window in zip(parts, poses, windows, strict=True)
+    ]
     before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
@@ -266,19 +271,52 @@ def _some(runs: Sequence[_Run], which: str) -> list[int]:
     return [rows[int(k)] for k in np.unique(picked.round())]
 
 
+def _windows(parts: Sequence[_Part], robot: Robot, poses: Sequence[MeasuredPoses]) -> list[float]:
+    """Return over which times errors are averaged [s]; 0: not, as where there are few recordings.
+
+    In a few recordings what lasts counts by its correlation, and a vibration tells the stiffness.
+    """
+    none = [0.0] * len(parts)
+    if sum(part.train is not None for part in parts) < RUNS_APART_MIN:
+        return none
+    windows = [
+        slow_window(
+            robot,
+            first_equilibrium(robot, LengthPath(part.recording)),
+            each.within(*_fitted_span(part)).time,
+        )
+        for part, each in zip(parts, poses, strict=True)
+    ]
+    return windows if all(windows) else none
+
+
+def _fitted_span(part: _Part) -> Range:
+    """Return the samples that are fitted, or scored if none are."""
+    span = part.train or part.test
+    assert span is not None, "a recording is fitted or scored"
+    return span
+
+
 def _prepared(
-    part: _Part, robot: Robot, poses: MeasuredPoses, settings: IdentificationSettings
+    part: _Part,
+    robot: Robot,
+    poses: MeasuredPoses,
+    settings: IdentificationSettings,
+    window: float,
 ) -> _Run:
-    """Find how a recording begins, and what of it a fit sees."""
+    """Find how a recording begins, and what of it a fit sees, averaged over a window [s]."""
     recording, path = part.recording, LengthPath(part.recording)
     first = first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
         poses.rotation,
     )  # fmt: skip
-    sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=first.moves)
-    span = part.train or part.test
-    assert span is not None, "a recording is fitted or scored"
-    fitted = FittedRun(path=path, poses=poses.within(*span), rate=settings.rate, sway=sway)
+    sway = find_sway(
+        robot, first_equilibrium(robot, path), poses, moves=first.moves, vibrates=not window
+    )
+    fitted = FittedRun(
+        path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
+        window=window,
+    )  # fmt: skip
     return _Run(part=part, poses=poses, first=first, fitted=fitted)
 
 

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest.modes import natural_frequencies
+from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.robot import Robot
+
+WINDOW_PERIODS = 3.0  # of the slowest vibration: Blackman's window leaves a thousandth from there
+SLOW_PERIODS_MAX = 1.5  # of the fastest sway in a window, which leaves nearly half of it
+WINDOW_POSES_MIN = 6  # poses in a window
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,19 +29,59 @@ class FittedRun:
         poses: Measured ones that may be fitted.
         rate: Of poses that are fitted, of all of them [Hz].
         sway: Unknown motion at the start.
+        window: Time over which errors are averaged [s]; 0: none.
     """
 
     path: LengthPath
     poses: MeasuredPoses
     rate: float
     sway: FreeSway
+    window: float = 0.0
 
     def first(self, share: float) -> FittedRun:
         """Return the run with the poses of a share of it, from the first.
 
-        As many as are fitted of the whole, if they were measured so often: fast vibrations of the
-        cables are followed from their beginning.
+        Where errors are averaged all poses count. Otherwise as many as are fitted of the whole, if
+        they were measured so often: fast vibrations are followed from their beginning.
         """
         time = self.poses.time
         rows = np.flatnonzero(time <= time[0] + share * (time[-1] - time[0]))
-        return replace(self, poses=self.poses.rows(rows).thinned(self.rate / share))
+        poses = self.poses.rows(rows)
+        return replace(self, poses=poses if self.window else poses.thinned(self.rate / share))
+
+    def seen(self, errors: Array) -> Array:
+        """Return errors (K, 6) of all poses as a fit sees them, shape (K', 6)."""
+        return np.asarray(self._averages @ errors) if self.window else errors
+
+    @cached_property
+    def _averages(self) -> Array:
+        """Weights with which errors are averaged, shape (K', K): half of a window apart."""
+        time, half = self.poses.time, 0.5 * self.window
+        step = max(half, 1.0 / self.rate)
+        count = int(max(0.0, time[-1] - time[0] - self.window) / step) + 1
+        center = time[0] + half + step * np.arange(count)
+        away = np.clip((time - center[:, None]) / half, -1.0, 1.0)
+        weight = 0.42 + 0.5 * np.cos(np.pi * away) + 0.08 * np.cos(2.0 * np.pi * away)  # Blackman
+        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+
+def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
+    """Return over which time errors are averaged [s], so that only the sway is seen; 0: none.
+
+    A platform on less than six cables sways slowly, and vibrates fast on its elastic cables. How
+    these vibrations go on for hundreds of periods, only a stiffness shows that is known to a
+    thousandth: any other one has a best solution of its own, which claims to be just as well known.
+
+    Args:
+        robot: Robot description, n cables.
+        rest: Its equilibrium on the first lengths, B = 1.
+        time: Of the poses [s], shape (K,).
+    """
+    if robot.n >= 6:
+        return 0.0
+    slow, fast = natural_frequencies(robot, rest)[0, [5 - robot.n, 6 - robot.n]]
+    window = WINDOW_PERIODS / fast
+    step = (time[-1] - time[0]) / max(len(time) - 1, 1)
+    if window * slow > SLOW_PERIODS_MAX or window < WINDOW_POSES_MIN * step:
+        return 0.0
+    return float(window)

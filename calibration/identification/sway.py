@@ -53,10 +53,10 @@ class FreeSway:
         frequency: Of these modes [rad/s], slowest first, shape (m,).
         sigma: Prior sigma of the displacements [m], then of the speeds [m/s], shape (2 m,).
         stretch_sigma: Prior sigma of the elongations [m], then of their rates [m/s], shape (2 n,);
-            (0,) for a platform that seems to rest.
+            (0,) for a platform that seems to rest, or whose vibrations are not seen.
         sliding_sigma: Prior sigma of the speeds before less those of the start [m/s], shape (m,);
             (0,) for a platform that seems to rest.
-        guess: Coordinates from which a search begins, shape (3 m + 2 n,) or (2 m,).
+        guess: Coordinates from which a search begins, shape (3 m + 2 n,), (3 m,) or (2 m,).
     """
 
     shape: Array
@@ -99,7 +99,14 @@ class FreeSway:
         return speed + self.sliding_sigma * coordinates[-len(self.sliding_sigma) :]
 
 
-def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: bool) -> FreeSway:
+def find_sway(
+    robot: Robot,
+    rest: Equilibrium,
+    poses: MeasuredPoses,
+    *,
+    moves: bool,
+    vibrates: bool = True,
+) -> FreeSway:
     """Find the free directions at rest, and guess the first motion from measured poses.
 
     Args:
@@ -107,6 +114,7 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
         rest: Its equilibrium on the first lengths, B = 1.
         poses: Measured ones, from the start on.
         moves: True if the platform moves at first; otherwise the guess is rest.
+        vibrates: True if a platform that moves may vibrate on its elastic cables too.
     """
     jacobian = -structure_matrix(robot, rest.position, rest.rotation)[0].T
     mass = mass_matrix(robot, rest.rotation, rest.unstrained_length)[0]
@@ -129,7 +137,7 @@ def find_sway(robot: Robot, rest: Equilibrium, poses: MeasuredPoses, *, moves: b
         swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
         sigma = np.concatenate([reach, frequency * reach])
-        stretch_sigma = _stretch_sigma(robot, rest)
+        stretch_sigma = _stretch_sigma(robot, rest) if vibrates else stretch_sigma
         sliding_sigma = SLIDING_SIGMA_SHARE * frequency * swing.max()
     return FreeSway(
         shape=shape,

@@ -53,7 +53,7 @@ class OscillationSettings:
     rotation_noise: float = 1e-3
     length_noise: float = Scaled(1e-4, "m")
     cables: Cables = "catenary"
-    time_step: float = Scaled(1.0 / 400.0, "s")
+    time_step: float = Scaled(1.0 / 2000.0, "s")
 
 
 def simulate_oscillations(

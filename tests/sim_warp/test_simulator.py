@@ -489,7 +489,7 @@ def test_a_world_that_has_failed_at_home_does_not_hold_up_the_others():
 @pytest.mark.parametrize("cables", ["catenary", "particles"])
 def test_worlds_that_are_not_placed_have_failed_until_they_are_reset(cables):
     robot = ct.load_robot("carosac")
-    there = robot.home_position + [0.3, -0.2, 0.4]
+    there = robot.home_position + np.array([0.3, -0.2, 0.4])
     late = Simulator(robot, worlds=2, cables=cables, at_home=False)
     late.step(np.tile(robot.length_min, (2, 1)), 0.01)
     assert late.state.numpy().failed.all()

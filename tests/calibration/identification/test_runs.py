@@ -1,0 +1,105 @@
+"""What a fit sees of many recordings: the slow sway, and derivatives that tell no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from benchmarks.calibration_oscillations import SURVEYED, draw_plant, robot_with_pulleys
+from calibration.identification.fit import Fitter
+from calibration.identification.measured_poses import poses_of
+from calibration.identification.open_loop import first_equilibrium
+from calibration.identification.runs import FittedRun, slow_window
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.sway import find_sway
+from calibration.identification.synthetic_oscillations import (
+    OscillationSettings,
+    simulate_oscillations,
+)
+from calibration.identification.unknowns import choose_coordinates
+from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.modes import natural_frequencies
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.parameters import values_of
+from tests.robots import eight_cable_robot
+
+RATE = 100.0
+FORCES = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag",
+          "exit_friction", "anchor_friction")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return draw_plant(robot_with_pulleys(3), SURVEYED, 1)
+
+
+@pytest.fixture(scope="module")
+def runs(plant):
+    short = OscillationSettings(count=10, duration=1.0, time_step=0.01)
+    return [prepared(plant, each) for each in simulate_oscillations(plant, 1, short)]
+
+
+def prepared(robot, recording):
+    path, poses = LengthPath(recording), poses_of(recording)
+    rest = first_equilibrium(robot, path)
+    return FittedRun(
+        path=path,
+        poses=poses,
+        rate=10.0,
+        sway=find_sway(robot, rest, poses, moves=True, vibrates=False),
+        window=slow_window(robot, rest, poses.time),
+    )
+
+
+def at_home(robot):
+    return statics.inverse_kinematics(robot, robot.home_position[None])
+
+
+def test_averages_keep_what_lasts_and_leave_a_thousandth_of_vibrations(plant, runs):
+    run = runs[0]
+    time = run.poses.time - run.poses.time[0]
+    lasting = np.ones((len(time), 6))
+    assert run.seen(lasting) == pytest.approx(np.ones_like(run.seen(lasting)))
+    frequency = natural_frequencies(plant, first_equilibrium(plant, run.path))[0]
+    for value, most in ((frequency[3], 2e-3), (frequency[5], 2e-3)):
+        wave = np.sin(2.0 * np.pi * value * time)[:, None] * lasting
+        assert np.abs(run.seen(wave)).max() < most
+    wave = np.sin(2.0 * np.pi * frequency[2] * time)[:, None] * lasting
+    assert np.abs(run.seen(wave)).max() > 0.5
+
+
+def test_where_sway_and_vibrations_are_not_apart_nothing_is_averaged(plant):
+    time = np.arange(0.0, 10.0, 1.0 / RATE)
+    assert slow_window(plant, at_home(plant), time) > 0.0
+    assert slow_window(plant, at_home(plant), time[::10]) == 0.0  # too few poses in a window
+    soft = replace(plant, axial_stiffness=1e-3 * plant.axial_stiffness)
+    assert slow_window(soft, at_home(soft), time) == 0.0
+    for robot in (ct.load_robot("cogiro"), eight_cable_robot()):  # no sway at all
+        assert slow_window(robot, at_home(robot), time) == 0.0
+
+
+def test_no_motion_tells_the_unit_of_force(plant, runs):
+    """All forces and masses by the same factor: no derivative along it, and no information."""
+    chosen = resolved(IdentificationSettings(), Scales(plant).ratios)
+    unknowns = choose_coordinates(plant, replace(chosen, length_delay=0.0))
+    fitter = Fitter(unknowns, runs, chosen)
+    names = unknowns.prior.names
+    along = np.array([
+        0.0 if not (name in FORCES or name.startswith("inertia"))
+        else 1.0 / scale if factor
+        else value / scale
+        for name, scale, factor, value in zip(
+            names, unknowns.scale, unknowns.factor, values_of(plant, names), strict=True
+        )
+    ])  # fmt: skip
+    jacobians = fitter._jacobians(fitter._first, coarse=False)
+    mass = names.index("mass")
+    for jacobian in jacobians:
+        own = jacobian[:, :, : len(names)]
+        size = np.linalg.norm(own[:, :, mass] * along[mass])
+        assert np.linalg.norm(own @ along) < 1e-3 * size
