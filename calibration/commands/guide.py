@@ -198,7 +198,7 @@ def _page(options: Options, guide: Guide) -> Iterator[Shown]:
         return
 
     robot = guide.known.problem.robot
-    page = Page(robot, f"guide: {robot.name}", port=options.port)
+    page = Page(robot, f"guide: {robot.name}", port=options.port, moves=False)
     try:
         print(f"watch it at {page.url}", flush=True)
         view = GuideView(page, guide.known)

@@ -51,12 +51,11 @@ class GuideView:
             f"sample {progress.name}: exit points are known to {1e3 * known.exit_distance:.3g} mm "
             f"on average (1 sigma); ellipsoids show {SIGMAS_SHOWN:g} sigmas"
         )
-        self._page.draw(
-            take_picture(
-                found, progress.position, robot.home_rotation, tension=progress.tension,
-                target=progress.target, status=words,
-            )
+        picture = take_picture(
+            found, progress.position, robot.home_rotation, tension=progress.tension,
+            target=progress.target, status=words,
         )  # fmt: skip
+        self._page.draw(picture)
 
     def _draw_known(self, known: Knowledge) -> None:
         """Draw an ellipsoid at each exit point."""

@@ -46,6 +46,7 @@ class Page:
     def __init__(
         self, robot: Robot, title: str, *, host: str = LOOPBACK_ADDRESS, port: int = DEFAULT_PORT,
         rate: float = PUBLISH_RATE_MAX_HZ, followed: str = "target", plain: bool = False,
+        moves: bool = True,
     ) -> None:  # fmt: skip
         """Start the server.
 
@@ -57,6 +58,7 @@ class Page:
             rate: Pictures a second, at most.
             followed: Word for the target of a picture.
             plain: True for a page that is cheap to draw, for a browser without a GPU.
+            moves: False for pictures of a platform at rest: no controls and no plots over time.
         """
         self.robot, self.rate, self._followed, self.plain = robot, rate, followed, plain
         self._admission = Admission(host)
@@ -74,6 +76,9 @@ class Page:
         server.gui.add_html(legend_html(robot), order=1)
         self.controls = server.gui.add_folder("Move", order=2)
         self.plots = Plots(server.gui, robot, followed, plain=plain)
+        if not moves:
+            self.controls.visible = False
+            self.plots.hide()
         self._add_display()
         self._said = ("", False)
         self._said_at = 0.0

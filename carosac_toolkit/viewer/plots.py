@@ -61,6 +61,10 @@ class Plots:
             gui, (start, empty, empty), error, "distance [mm]", f"platform to {followed}"
         )
 
+    def hide(self) -> None:
+        """Show none of them."""
+        self._tension.visible = self._error.visible = False
+
     def _chart(
         self, gui: Any, data: tuple[Array, ...], lines: list[dict[str, Any]], label: str, title: str
     ) -> Any:

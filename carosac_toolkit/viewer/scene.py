@@ -72,8 +72,11 @@ class RobotScene:
         if not ghost:
             self._draw_frame(plain=plain)
         self._platform = self._add_platform()
-        self._cables = self._add_lines(
-            "cables", np.zeros((1, 2, 3)), FRAME_COLOR, 2.0 if ghost else 4.0
+        grey = vertex_colors(np.tile(np.array(FRAME_COLOR, dtype=np.uint8), (1, 2, 1)))
+        self._cables = (
+            self._add_lines(  # with a colour a vertex from the first: open pages keep to the kind
+                "cables", np.zeros((1, 2, 3)), grey, 2.0 if ghost else 4.0
+            )
         )
         self._trails = {
             key: self._add_lines(f"trail_{key}", np.zeros((1, 2, 3)), color, 2.0)
@@ -210,8 +213,10 @@ class RobotScene:
         )  # fmt: skip
         return handle
 
-    def _add_lines(self, name: str, points: Array, color: Rgb, width: float) -> Any:
-        """Add line segments, thickness in pixels."""
+    def _add_lines(
+        self, name: str, points: Array, color: Rgb | NDArray[np.uint8], width: float
+    ) -> Any:
+        """Add line segments of one colour, or with one a vertex; thickness in pixels."""
         return self._scene.add_line_segments(
             f"{self._name}/{name}", points=np.asarray(points, dtype=np.float32), colors=color,
             thickness=width, thickness_units="screen",

@@ -97,3 +97,12 @@ def test_a_plain_trail_has_few_points_and_both_ends(page):
     assert len(drawn) < 100
     assert drawn[0, 0] == pytest.approx(way[0], rel=1e-6)
     assert drawn[-1, 1] == pytest.approx(way[-1], rel=1e-6)
+
+
+def test_cables_have_a_colour_a_vertex_before_their_first_picture():
+    """A page that is open keeps to the kind of colours with which lines were added."""
+    fresh = Page(load_robot("scampi"), "fresh", port=8484)
+    try:
+        assert np.shape(fresh.scene._cables.colors) == (1, 2, 3)
+    finally:
+        fresh.close()

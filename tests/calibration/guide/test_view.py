@@ -21,7 +21,7 @@ def test_an_ellipsoid_has_the_axes_of_its_covariance():
 def test_ellipsoids_shrink_around_the_exit_points_as_samples_come(tmp_path):
     guide, _ = by_hand(tmp_path / "samples.csv", 1)
     guide.resume()
-    page = Page(ROBOT, "guide", port=8490)
+    page = Page(ROBOT, "guide", port=8490, moves=False)
     try:
         view = GuideView(page, guide.known)
         sizes, shown = [], []
