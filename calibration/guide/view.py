@@ -56,6 +56,7 @@ class GuideView:
             target=progress.target, status=words,
         )  # fmt: skip
         self._page.draw(picture)
+        self._page.settle()  # each is the last one for a while
 
     def _draw_known(self, known: Knowledge) -> None:
         """Draw an ellipsoid at each exit point."""

@@ -30,6 +30,9 @@ def test_ellipsoids_shrink_around_the_exit_points_as_samples_come(tmp_path):
             known = progress.fit.known
             sizes.append(np.array([handle.scale for handle in view._ellipsoids]))
             shown.append(page.picture)
+            labels = [handle.text for handle in page.scene._names]
+            words = zip(ROBOT.cable_names, shown[-1].tension, strict=True)
+            assert labels == [f"{name}: {value:.0f} N" for name, value in words]
             found = np.array([handle.position for handle in view._ellipsoids])
             assert found == pytest.approx(known.exit_points, abs=1e-4)
             assert shown[-1].points[:, 0] == pytest.approx(known.exit_points, abs=0.01)
