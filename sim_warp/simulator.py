@@ -81,7 +81,7 @@ class Simulator:
         iterations: int = 20,
         at_home: bool = True,
     ) -> None:
-        """Place all worlds at rest at home; those that cannot rest there have failed until `reset`.
+        """Place all worlds at rest at home unless told not to; others have failed until `reset`.
 
         Args:
             robot: The robot of all worlds, or one for each.

@@ -126,12 +126,13 @@ def _run(
     options: Options, robot: Robot, samples: SampleFile, settings: GuideSettings
 ) -> CommandResult:
     """Guide one robot, with its samples."""
-    with _session(options, robot, settings) as session:
+    with _page(options, robot) as page, _session(options, robot, settings) as session:
         priors = _priors(options, session)
         guide = Guide(robot, session.mover, samples, settings, priors, seed=options.seed)
         try:
             resumed = guide.resume()
-            with _going_on_from(samples), _page(options, guide) as show:
+            with _going_on_from(samples):
+                show = _showing(guide, page)
                 verdict = _guided(options, guide, session, settings, show, fresh=resumed is None)
         except Stopped as error:
             print(f"\nstopped: {error}; the same command goes on from {options.samples}")
@@ -148,6 +149,8 @@ def _run(
         result = calibrate_motor_angles(samples.measured(), robot, noise)
         provenance = f"guided self-calibration, samples in {samples.path.name}"
         write_new_robot(result, options.robot, options.output, provenance=provenance)
+        if result.frame.level:
+            print("it is upright by the measured tensions; the positions above lean against it")
     data = {
         "robot": robot.name,
         "samples": len(samples.measured().samples),
@@ -187,29 +190,29 @@ def _session(options: Options, robot: Robot, settings: GuideSettings) -> Any:
 
 
 @contextlib.contextmanager
-def _page(options: Options, guide: Guide) -> Iterator[Shown]:
-    """Serve a page while the robot is guided, if one is wanted; yield what shows a sample."""
-
-    def printed(sample: Progress) -> None:
-        print(shown.line(sample), flush=True)
-
+def _page(options: Options, robot: Robot) -> Iterator[Page | None]:
+    """Serve a page while the robot is guided, if one is wanted."""
     if not options.view:
-        yield printed
+        yield None
         return
-
-    robot = guide.known.problem.robot
     page = Page(robot, f"guide: {robot.name}", port=options.port, moves=False)
     try:
         print(f"watch it at {page.url}", flush=True)
-        view = GuideView(page, guide.known)
-
-        def both(sample: Progress) -> None:
-            printed(sample)
-            view.show(sample)
-
-        yield both
+        yield page
     finally:
         page.close()
+
+
+def _showing(guide: Guide, page: Page | None) -> Shown:
+    """Return what prints a sample, and draws it if there is a page."""
+    view = None if page is None else GuideView(page, guide.known, guide.fit)
+
+    def show(sample: Progress) -> None:
+        print(shown.line(sample), flush=True)
+        if view is not None:
+            view.show(sample)
+
+    return show
 
 
 def _guided(
@@ -310,6 +313,8 @@ def _check_options(options: Options) -> None:
     for name, value in (("--true-robot", options.true_robot), ("--tape", options.tape)):
         if not simulation and value:
             raise InvalidField(name, value, f"with --driver {SIMULATED} only")
+    if options.port != DEFAULT_PORT and not options.view:
+        raise InvalidField("--port", str(options.port), "with --view only")
     if options.driver == "simulator":
         allowed = f"{SIMULATED}, whose robot may differ from its file, or a real driver"
         raise InvalidField("--driver", "'simulator'", allowed)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.guide.fit import GuideFit
 from calibration.guide.guide import Progress
 from calibration.self_calibration.knowledge import Knowledge
 from carosac_toolkit.base.arrays import Array
@@ -24,9 +25,15 @@ SAMPLE_SIZE_SHARE = 0.012  # of the longest cable
 class GuideView:
     """Draws the robot as it is known by now, on a page that shows its file."""
 
-    def __init__(self, page: Page, known: Knowledge) -> None:
-        """Draw what is known before the first sample."""
-        self._page, self._samples = page, np.zeros((0, 3))
+    def __init__(self, page: Page, known: Knowledge, fit: GuideFit | None = None) -> None:
+        """Draw what is known before the next sample.
+
+        Args:
+            page: Of the robot.
+            known: Knowledge.
+            fit: Of earlier samples, or None.
+        """
+        self._page = page
         scene: Any = page.server.scene
         self._ellipsoids = [
             scene.add_icosphere(
@@ -34,27 +41,42 @@ class GuideView:
             )
             for name in known.problem.robot.cable_names
         ]
-        self._draw_known(known)
+        robot = known.problem.robot
+        self._draw(known, robot.home_position if fit is None else fit.position[-1], None, None, "")
+        if fit is not None:
+            self._draw_samples(known, fit.position)
 
     def show(self, progress: Progress) -> None:
-        """Draw a sample, and what is known with it."""
+        """Draw a sample, all of them where they are by now, and what is known with them."""
         known = progress.fit.known
-        robot = known.problem.robot
-        found = replace(robot, exit_points=known.exit_points, exit_covariance=None)
-        self._draw_known(known)
-        self._samples = np.vstack([self._samples, progress.position])
+        self._draw_samples(known, np.vstack([progress.fit.position, progress.position]))
+        self._draw(
+            known, progress.position, progress.tension, progress.target,
+            f"sample {progress.name}: ",
+        )  # fmt: skip
+
+    def _draw_samples(self, known: Knowledge, position: Array) -> None:
+        """Draw the samples at positions (N, 3)."""
         self._page.server.scene.add_point_cloud(
-            "/samples", self._samples, SAMPLE_COLOR, point_shape="circle", precision="float32",
+            "/samples", position, SAMPLE_COLOR, point_shape="circle", precision="float32",
             point_size=SAMPLE_SIZE_SHARE * known.problem.longest,
         )  # fmt: skip
-        words = (
-            f"sample {progress.name}: exit points are known to {1e3 * known.exit_distance:.3g} mm "
-            f"on average (1 sigma); ellipsoids show {SIGMAS_SHOWN:g} sigmas"
+
+    def _draw(
+        self, known: Knowledge, position: Array, tension: Array | None, target: Array | None,
+        words: str,
+    ) -> None:  # fmt: skip
+        """Draw the platform on cables from where they begin by what is known, and ellipsoids."""
+        robot = known.problem.robot
+        found = replace(robot, exit_points=known.exit_points, exit_covariance=None)
+        words += (
+            f"exit points are known to {1e3 * known.exit_distance:.3g} mm on average (1 sigma); "
+            f"ellipsoids show {SIGMAS_SHOWN:g} sigmas"
         )
         picture = take_picture(
-            found, progress.position, robot.home_rotation, tension=progress.tension,
-            target=progress.target, status=words,
-        )  # fmt: skip
+            found, position, robot.home_rotation, tension=tension, target=target, status=words
+        )
+        self._draw_known(known)
         self._page.draw(picture)
         self._page.settle()  # each is the last one for a while
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,9 +24,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-# The same where many recordings are fitted. All forces and masses by the same factor give the same
-# motion: derivatives that are wrong by half a percent seem to tell that factor to half a percent.
-FINE_DIFFERENCE_STEP = 0.0005
+# The same forward of many recordings, whose last differences are central. All forces and masses by
+# one factor give the same motion: derivatives wrong by half a percent seem to tell it that well.
+FORWARD_STEP_OF_MANY = 0.0005
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
@@ -43,7 +42,6 @@ NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
 CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
-STEP_ROUNDING = 1e-6  # share of a time step
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
@@ -102,11 +100,8 @@ class Fitter:
         self._many = len(self._runs) >= RUNS_APART_MIN
         self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
         self._sways = self._many and all(run.window for run in self._runs)
-        self._time_step = settings.time_step
-        if self._sways:
-            self._time_step = _dividing(self._runs[0].poses.time, settings.time_step)
-        elif self._many:
-            self._time_step *= MANY_STEP_RATIO
+        vibrates = self._many and not self._sways
+        self._time_step = settings.time_step * (MANY_STEP_RATIO if vibrates else 1.0)
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
@@ -246,18 +241,19 @@ class Fitter:
         errors, good = self._simulated(points, self._time_step)
         if not self._sways:
             return errors, good
-        fine, sound = self._simulated(points, 0.5 * self._time_step)
+        fine, sound = self._simulated(points, self._time_step, refined=2)
         errors = [best + (best - each) / 3.0 for best, each in zip(fine, errors, strict=True)]
         return errors, [one & other for one, other in zip(good, sound, strict=True)]
 
     def _simulated(
-        self, points: Sequence[Array], time_step: float
+        self, points: Sequence[Array], time_step: float, *, refined: int = 1
     ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """Simulate robots at coordinates, for each run of its own.
 
         Args:
             points: Of each run, shape (B, all coordinates).
             time_step: At most [s].
+            refined: Steps that each of these is divided into.
 
         Returns:
             Of each run: errors (B, K, 6), and which robots exist and have a finite motion (B,).
@@ -277,7 +273,7 @@ class Fitter:
                 )
             )
         errors = []
-        for k, motion in enumerate(simulate_runs(jobs, time_step=time_step)):
+        for k, motion in enumerate(simulate_runs(jobs, time_step=time_step, refined=refined)):
             seen = motion.seen_by(self._unknowns.robot, jobs[k].robots)
             exists[k] &= ~motion.failed
             run = self._runs[k]
@@ -312,26 +308,31 @@ class Fitter:
         searched[: self._count] &= not starts
         varied = [own[searched[own]] for own in self._own]
         central = self._many and not coarse
-        step = FINE_DIFFERENCE_STEP if self._many and coarse else FINITE_DIFFERENCE_STEP
+        step = FORWARD_STEP_OF_MANY if self._many and coarse else FINITE_DIFFERENCE_STEP
         more = at + step * np.eye(len(at))
-        less = np.maximum(at - step * np.eye(len(at)), self._lower) if central else at[None]
+        less = np.maximum(at - step * np.eye(len(at)), self._lower)
         width = np.diag(more) - (np.diag(less) if central else at)
         errors, good = self._simulated(
-            [np.vstack([less[rows] if central else less, more[rows]]) for rows in varied],
+            [
+                np.vstack([less[rows] if central and len(rows) else at[None], more[rows]])
+                for rows in varied
+            ],
             time_step,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
             if not sound.all():
                 row = int(np.argmin(sound)) + len(rows) - len(sound)
-                stands = row == -1 and not central  # the first one is the robot itself
+                stands = row == -1 and not (central and len(rows))  # the first is the robot itself
                 beside = "" if stands else f" with another {self._names[rows[row]]}"
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
             jacobian = np.zeros((*each.shape[1:], len(own)))
+            jacobians.append(jacobian)
+            if not len(rows):
+                continue
             before, after = each[: -len(rows)], each[-len(rows) :]
             slopes = (after - before) / width[rows, None, None]
             jacobian[:, :, searched[own]] = np.moveaxis(slopes, 0, 2)
-            jacobians.append(jacobian)
         return jacobians
 
     def _normal(
@@ -491,15 +492,6 @@ class _Search:
     jacobians: list[Array]
     count: int
     settled: bool
-
-
-def _dividing(time: Array, longest: float) -> float:
-    """Return a time step that divides the usual interval of some times (K,) evenly [s].
-
-    Half of it then divides that interval into twice as many.
-    """
-    interval = float(np.median(np.diff(time)))
-    return interval / math.ceil(interval / longest - STEP_ROUNDING) * (1.0 + STEP_ROUNDING)
 
 
 def _rms(errors: Array) -> tuple[float, float]:

@@ -7,6 +7,7 @@ particles grow differently in robots that differ by a millionth, and no derivati
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,6 +35,7 @@ from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
 LENGTH_GRID = Scaled(0.05, "s", most=0.05)  # lengths go straight over no longer time
+STEP_ROUNDING = 1e-6  # share of a time step
 TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
 WORLDS_PER_THREAD_MIN = 16  # fewer worlds are not worth a thread of their own
 
@@ -45,7 +47,7 @@ class OpenLoop:
     Attributes:
         position: Platform origins in W [m], shape (K, B, 3).
         rotation: From P to W, shape (K, B, 3, 3).
-        failed: Worlds without a finite motion, shape (B,).
+        failed: Worlds without a finite motion, shape (B,); they are shown at the origin.
     """
 
     position: Array
@@ -129,7 +131,9 @@ def simulate(
     return simulate_runs([run], time_step=time_step)[0]
 
 
-def simulate_runs(runs: Sequence[OpenLoopRun], *, time_step: float) -> list[OpenLoop]:
+def simulate_runs(
+    runs: Sequence[OpenLoopRun], *, time_step: float, refined: int = 1
+) -> list[OpenLoop]:
     """Let platforms hang on the first lengths, and wind on as recorded; each is seen in its own W.
 
     They start displaced from the equilibrium and with a speed as `start` says, and move with the
@@ -140,6 +144,7 @@ def simulate_runs(runs: Sequence[OpenLoopRun], *, time_step: float) -> list[Open
     Args:
         runs: R runs, each with robots of its own.
         time_step: Of the simulator, at most [s].
+        refined: Steps that each of these is divided into.
 
     Returns:
         One motion a run.
@@ -150,8 +155,9 @@ def simulate_runs(runs: Sequence[OpenLoopRun], *, time_step: float) -> list[Open
     drives = [_Drive.of(run) for run in runs]
     motions: list[OpenLoop | None] = [None] * len(runs)
     for members in _alike(drives):
-        together = _simulate_alike([runs[r] for r in members], [drives[r] for r in members],
-                                   time_step)  # fmt: skip
+        together = _simulate_alike(
+            [runs[r] for r in members], [drives[r] for r in members], time_step, refined
+        )
         for r, motion in zip(members, together, strict=True):
             motions[r] = motion
     return [motion for motion in motions if motion is not None]
@@ -224,7 +230,7 @@ def _alike(drives: Sequence[_Drive]) -> list[list[int]]:
 
 
 def _simulate_alike(
-    runs: Sequence[OpenLoopRun], drives: Sequence[_Drive], time_step: float
+    runs: Sequence[OpenLoopRun], drives: Sequence[_Drive], time_step: float, refined: int
 ) -> list[OpenLoop]:
     """Simulate runs whose times begin alike, the longest first."""
     when = drives[0].when
@@ -236,7 +242,7 @@ def _simulate_alike(
     chunks = [
         _Worlds(
             [robots[b] for b in rows], np.ascontiguousarray(lengths[:, rows]), starts.rows(rows),
-            time_step,
+            time_step, refined,
         )
         for rows in np.array_split(np.arange(len(robots)), _threads(len(robots)))
     ]  # fmt: skip
@@ -340,10 +346,11 @@ class _Worlds:
     """Worlds that one thread advances."""
 
     def __init__(
-        self, robots: Sequence[Robot], lengths: Array, starts: _Starts, time_step: float
-    ) -> None:
+        self, robots: Sequence[Robot], lengths: Array, starts: _Starts, time_step: float,
+        refined: int,
+    ) -> None:  # fmt: skip
         """Place B worlds; lengths have the shape (M, B, n)."""
-        self._lengths = lengths
+        self._lengths, self._time_step, self._refined = lengths, time_step, refined
         self._simulator = Simulator(robots, cables="catenary", time_step=time_step, at_home=False)
         self._ready = np.zeros(len(robots), dtype=np.bool_)
         for which in (starts.hangs & ~starts.moves, starts.moves):
@@ -383,10 +390,14 @@ class _Worlds:
         for k, end in enumerate(looked):
             while row < end:
                 row += 1
-                self._simulator.follow(self._lengths[row], float(when[row] - when[row - 1]))
+                duration = float(when[row] - when[row - 1])
+                steps = self._refined * math.ceil(duration / self._time_step - STEP_ROUNDING)
+                self._simulator.time_step = duration / steps * (1.0 + STEP_ROUNDING)
+                self._simulator.follow(self._lengths[row], duration)
             state = self._simulator.state.numpy()
             position[k], rotation[k] = state.position, state.rotation
         failed = ~self._ready | self._simulator.state.numpy().failed
+        position[:, failed], rotation[:, failed] = 0.0, np.eye(3)
         return OpenLoop(position=position, rotation=rotation, failed=failed)
 
 

@@ -277,7 +277,8 @@ def _windows(parts: Sequence[_Part], robot: Robot, poses: Sequence[MeasuredPoses
     In a few recordings what lasts counts by its correlation, and a vibration tells the stiffness.
     """
     none = [0.0] * len(parts)
-    if sum(part.train is not None for part in parts) < RUNS_APART_MIN:
+    trained = [part.train is not None for part in parts]
+    if sum(trained) < RUNS_APART_MIN:
         return none
     windows = [
         slow_window(
@@ -287,7 +288,7 @@ def _windows(parts: Sequence[_Part], robot: Robot, poses: Sequence[MeasuredPoses
         )
         for part, each in zip(parts, poses, strict=True)
     ]
-    return windows if all(windows) else none
+    return windows if all(np.array(windows)[trained]) else none
 
 
 def _fitted_span(part: _Part) -> Range:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
@@ -18,6 +19,8 @@ from carosac_toolkit.robot.robot import Robot
 WINDOW_PERIODS = 3.0  # of the slowest vibration: Blackman's window leaves a thousandth from there
 SLOW_PERIODS_MAX = 1.5  # of the fastest sway in a window, which leaves nearly half of it
 WINDOW_POSES_MIN = 6  # poses in a window
+WINDOW_POSES_MAX = 40
+COVERED_SHARE_MIN = 0.5  # of the weight of a window that poses must have
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,28 +44,40 @@ class FittedRun:
     def first(self, share: float) -> FittedRun:
         """Return the run with the poses of a share of it, from the first.
 
-        Where errors are averaged all poses count. Otherwise as many as are fitted of the whole, if
-        they were measured so often: fast vibrations are followed from their beginning.
+        Where errors are averaged nearly all poses count. Otherwise as many as are fitted of the
+        whole, if they were measured so often: vibrations are followed from their beginning.
         """
         time = self.poses.time
         rows = np.flatnonzero(time <= time[0] + share * (time[-1] - time[0]))
         poses = self.poses.rows(rows)
-        return replace(self, poses=poses if self.window else poses.thinned(self.rate / share))
+        rate = WINDOW_POSES_MAX / self.window if self.window else self.rate / share
+        return replace(self, poses=poses.thinned(rate))
 
     def seen(self, errors: Array) -> Array:
         """Return errors (K, 6) of all poses as a fit sees them, shape (K', 6)."""
         return np.asarray(self._averages @ errors) if self.window else errors
 
     @cached_property
-    def _averages(self) -> Array:
-        """Weights with which errors are averaged, shape (K', K): half of a window apart."""
+    def _averages(self) -> csr_array:
+        """Weights with which errors are averaged, shape (K', K): half of a window apart.
+
+        Where poses are missing in more than half of a window, there is none.
+        """
         time, half = self.poses.time, 0.5 * self.window
         step = max(half, 1.0 / self.rate)
         count = int(max(0.0, time[-1] - time[0] - self.window) / step) + 1
         center = time[0] + half + step * np.arange(count)
-        away = np.clip((time - center[:, None]) / half, -1.0, 1.0)
-        weight = 0.42 + 0.5 * np.cos(np.pi * away) + 0.08 * np.cos(2.0 * np.pi * away)  # Blackman
-        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+        first, stop = (np.searchsorted(time, center + side) for side in (-half, half))
+        row = np.repeat(np.arange(count), stop - first)
+        column = np.concatenate([np.arange(a, b) for a, b in zip(first, stop, strict=True)])
+        away = np.pi * (time[column] - center[row]) / half
+        weight = 0.42 + 0.5 * np.cos(away) + 0.08 * np.cos(2.0 * away)  # Blackman
+        total = np.bincount(row, weight, count)
+        whole = 0.42 * self.window / float(np.median(np.diff(time)))
+        kept = total >= min(COVERED_SHARE_MIN * whole, float(total.max()))
+        shape = (count, len(time))
+        averages = csr_array((weight / np.maximum(total, 1e-9)[row], (row, column)), shape=shape)
+        return averages[kept]
 
 
 def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:

@@ -88,12 +88,13 @@ def calibrate_motor_angles(
         frame = _frame(problem, settled.fit, settled.trust)
         rivals = find_rivals(problem, settled, frame, others)
     check_reference(problem, settled.trust)
-    if frame.level and frame.vertical is not None:
+    upright = frame.level
+    if upright and frame.vertical is not None:
         problem, settled = _turned(problem, settled, _upright(frame.vertical.up))
-        frame = _frame(problem, settled.fit, settled.trust)
+        frame = _frame(problem, settled.fit, settled.trust, upright=True)
     if settings.x_through is not None:
         problem, settled = _headed(problem, settled, settings.x_through)
-        frame = _frame(problem, settled.fit, settled.trust)
+        frame = _frame(problem, settled.fit, settled.trust, upright=upright)
     check_determined(problem, settled.fit, settled.trust, frame)
     return _result(problem, settled, frame, rivals)
 
@@ -137,14 +138,16 @@ def _turned(
     return turned, settle(turned, start, problem.settings)
 
 
-def _frame(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> Frame:
-    """Return the frame of a solution."""
+def _frame(
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust, *, upright: bool = False
+) -> Frame:
+    """Return the frame of a solution; `upright`: it was turned by measured tensions."""
     system = equations(problem, solution.shared, solution.position, trust)
     data = system.information - problem.before(solution.shared).information
     vertical = find_vertical(
         problem, solution.shared, solution.position, system.by_shared, trust.lengths
     )
-    return find_frame(problem, solution.shared, data, vertical)
+    return find_frame(problem, solution.shared, data, vertical, upright=upright)
 
 
 def _result(

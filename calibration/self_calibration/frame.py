@@ -20,9 +20,9 @@ them where the shape is known:
 
 .. math:: \Sigma'' = \Sigma' + M (M^\top \Lambda M)^{-1} M^\top.
 
-Where measured tensions tell the vertical better than the robot file does, the frame is the one in
-which the cables pull straight up: two rows of C are the derivative of that direction, and M is as
-uncertain as it.
+Where measured tensions tell the vertical better than the robot file does, along every direction,
+the frame is the one in which the cables pull straight up: two rows of C are the derivative of that
+direction, and the tilts among M are as uncertain as it.
 
 References:
     Baarda, *S-transformations and criterion matrices*, Netherlands Geodetic Commission, 1973.
@@ -48,6 +48,7 @@ from carosac_toolkit.base.rotations import best_rotation
 SAME_MOTION = 0.99  # part of a unit motion that a free one must have to be the same
 HEADING_SHARE_MIN = 0.05  # of its distance from home that an exit point must be beside home
 AXIS_NAMED_MIN = 0.01  # smaller parts of an axis are not named
+ELSEWHERE = "known coordinates hold another place than home, about which it may turn"
 TILTS = np.eye(6)[:, 3:5]  # turns about x and y through home
 TURN_ABOUT_Z = np.eye(6)[:, 5]
 TILTED_BY = np.array([[0.0, 1.0], [-1.0, 0.0]])  # direction of z, x and y, by a turn about x and y
@@ -203,7 +204,7 @@ class Frame:
             )
         return (
             f"the measured tensions tell the vertical to {known}; the exit points of the robot "
-            "file know it better"
+            "file know it better, along one direction at least"
         )
 
     def _unknown(self) -> str:
@@ -235,6 +236,8 @@ def find_frame(
     shared: Array,
     information: Array,
     vertical: Vertical | None = None,
+    *,
+    upright: bool = False,
 ) -> Frame:
     """Find the motions of the whole set-up that the lengths leave free.
 
@@ -243,6 +246,7 @@ def find_frame(
         shared: Values of the shared unknowns, shape (m,).
         information: On them, of the data alone, positions unknown, shape (m, m).
         vertical: By the measured tensions, if there are any.
+        upright: True if the set-up was made upright by them.
 
     Raises:
         InvalidField: The x axis is to go through an exit point that is above or below home, or the
@@ -261,12 +265,10 @@ def find_frame(
     held = _held(problem, free)
     spread = _spread_before(problem, held)
     tilt = held[3:5].T @ TILTED_BY.T / lever  # of z, by these motions
-    level = (
-        tilts
-        and vertical is not None
-        and not vertical.reason
-        and vertical.sigma**2 < float(np.linalg.eigvalsh(tilt.T @ spread @ tilt)[-1])
-    )
+    if not tilts and vertical is not None:
+        elsewhere = float(np.linalg.norm(free[3:5])) > AXIS_NAMED_MIN
+        vertical = replace(vertical, reason=ELSEWHERE) if elsewhere else None
+    level = vertical is not None and (upright or vertical.known_better_than(tilt.T @ spread @ tilt))
     named = [*TILTS.T] * level + [TURN_ABOUT_Z] * (heading is not None)
     if named:
         first = np.array(named).T
@@ -276,8 +278,9 @@ def find_frame(
     hold = move.T @ problem.prior.information
     if level and vertical is not None:
         hold[:2] = vertical.hold
-        told = tilt @ np.linalg.solve(vertical.covariance, tilt.T)
-        spread = np.linalg.inv(np.linalg.inv(spread) + told)
+        lean = np.linalg.pinv(tilt.T)  # motions by which z leans in x and y
+        rest = np.eye(len(spread)) - lean @ tilt.T
+        spread = rest @ spread @ rest.T + lean @ vertical.covariance @ lean.T
     if heading is not None:
         cable = problem.robot.cable_names.index(heading)
         x, y, _ = exits[cable] - home
@@ -297,7 +300,7 @@ def find_frame(
         hold=np.linalg.solve(hold @ move, hold) if free.shape[1] else hold,
         move=move,
         heading=heading,
-        vertical=vertical if tilts else None,
+        vertical=vertical,
         level=level,
         convention=np.asarray(0.5 * (convention + convention.T)),
     )

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from calibration.self_calibration.problem import MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
+SAMPLES_MIN = 2
 MISS_SIGMAS_MAX = 3.0  # by friction, RMS: a worse balance was not carried by the cables alone,
 MISS_WEIGHTS_MAX = 0.1  # unless it misses by less than that: exit points are wrong as well
 LOAD_NOISE_SHARE = 2e-3  # of the weight: noise of a balance beside friction
@@ -56,9 +57,21 @@ class Vertical:
         """Unit vector upwards in W as the solution has it, shape (3,)."""
         return np.asarray(self.load / np.linalg.norm(self.load))
 
+    def known_better_than(self, covariance: Array) -> bool:
+        """Return whether the tensions tell it, and better along every direction than others do.
+
+        Args:
+            covariance: By others, as `covariance` [rad^2], shape (2, 2).
+        """
+        return not self.reason and bool(np.linalg.eigvalsh(covariance - self.covariance)[0] > 0.0)
+
     def data(self) -> dict[str, Any]:
-        """Return the vertical, ready for JSON."""
-        return {"sigma_rad": self.sigma, "load_n": float(np.linalg.norm(self.load))}
+        """Return the vertical, ready for JSON; without sigma where the tensions do not tell it."""
+        return {
+            "sigma_rad": None if self.reason else self.sigma,
+            "load_n": float(np.linalg.norm(self.load)),
+            "reason": self.reason,
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,9 +110,9 @@ def find_vertical(
         used: Samples that count, shape (N,).
     """
     tension = problem.angles.tension
-    if tension is None or problem.own != 3 or not used.any():
-        return None
     rows = np.flatnonzero(used)
+    if tension is None or problem.own != 3 or len(rows) < SAMPLES_MIN or not tension[rows].any():
+        return None
 
     def balance(values: Array) -> _Balance:
         where = position[rows] + by_shared[rows] @ (values - shared)
@@ -155,7 +168,7 @@ def _reason(problem: MotorAngleProblem, found: _Balance) -> str:
     cables = robot.weight_per_length @ problem.prior.mean[problem.zeros]
     weight = robot.weight + 0.5 * float(cables)  # half of a cable hangs on each of its ends
     unlikely = found.square > found.free * MISS_SIGMAS_MAX**2
-    if found.free < 1 or (unlikely and found.miss > MISS_WEIGHTS_MAX * weight):
+    if unlikely and found.miss > MISS_WEIGHTS_MAX * weight:
         return "they do not balance one weight at all samples, as if the platform was held"
     if abs(size - weight) > LOAD_OFF_SHARE * weight:
         return (

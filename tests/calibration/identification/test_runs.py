@@ -11,7 +11,12 @@ import carosac_toolkit as ct
 from benchmarks.calibration_oscillations import SURVEYED, draw_plant, robot_with_pulleys
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import poses_of
-from calibration.identification.open_loop import first_equilibrium
+from calibration.identification.open_loop import (
+    OpenLoopRun,
+    OpenLoopStart,
+    first_equilibrium,
+    simulate_runs,
+)
 from calibration.identification.runs import FittedRun, slow_window
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
@@ -25,6 +30,8 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import values_of
 from tests.robots import eight_cable_robot
 
@@ -103,3 +110,63 @@ def test_no_motion_tells_the_unit_of_force(plant, runs):
         own = jacobian[:, :, : len(names)]
         size = np.linalg.norm(own[:, :, mass] * along[mass])
         assert np.linalg.norm(own @ along) < 1e-3 * size
+
+
+def test_windows_without_poses_are_left_out(runs):
+    run = runs[0]
+    time = run.poses.time - run.poses.time[0]
+    gap = replace(run, poses=run.poses.rows(np.flatnonzero((time < 0.35) | (time > 0.65))))
+    seen = gap.poses.time - gap.poses.time[0]
+    slope = gap.seen(np.tile(seen[:, None], (1, 6)))[:, 0]  # of time: the centre of each window
+    whole = run.seen(np.tile(time[:, None], (1, 6)))[:, 0]
+    assert 0 < len(slope) < len(whole)
+    assert np.abs(slope[:, None] - whole).min(axis=1).max() < 0.25 * run.window
+
+
+def test_many_poses_are_thinned(runs):
+    run = runs[0]
+    dense = replace(run, window=100.0 * run.window)
+    assert len(dense.first(1.0).poses.time) < len(run.first(1.0).poses.time)
+
+
+def test_a_robot_that_cannot_hang_is_failed_and_nothing_else(plant, runs):
+    run = runs[0]
+    heavy = replace(plant, mass=1e7 * plant.mass)
+    job = OpenLoopRun(robots=[plant, heavy], path=run.path, time=run.poses.time)
+    motion = simulate_runs([job], time_step=0.01)[0]
+    assert motion.failed.tolist() == [False, True]
+    errors = run.poses.errors(motion.position[:, 1], motion.rotation[:, 1])
+    assert np.isfinite(errors).all()
+
+
+def test_refined_steps_are_exactly_as_many_times_more(plant, runs):
+    """Errors fall with the square of the step, also where intervals of poses jitter."""
+    run = runs[0]
+    rng = np.random.default_rng(0)
+    time = run.poses.time + np.append(0.0, rng.uniform(0.0, 1e-4, len(run.poses.time) - 1))
+    start = OpenLoopStart(sway=run.sway, coordinates=run.sway.guess[None])
+    job = OpenLoopRun(robots=[plant], path=run.path, time=time, start=start)
+    once, twice, often = (
+        simulate_runs([job], time_step=1.0 / 140.0, refined=k)[0].position for k in (1, 2, 16)
+    )
+    ratio = np.linalg.norm(once - often) / np.linalg.norm(twice - often)
+    assert 3.5 < ratio < 4.6
+
+
+def test_nothing_to_search_needs_no_derivatives():
+    robot = eight_cable_robot()
+    settings = resolved(IdentificationSettings(), Scales(robot).ratios)
+    unknowns = choose_coordinates(robot, settings)
+    rest, time = at_home(robot), np.arange(0.0, 1.0, 0.02)
+    recording = Recording(
+        time=time,
+        unstrained_length=np.tile(rest.unstrained_length, (len(time), 1)),
+        poses=PoseSamples.from_rotation(
+            time, np.tile(rest.position, (len(time), 1)), np.tile(rest.rotation, (len(time), 1, 1))
+        ),
+    )
+    fitter = Fitter(
+        unknowns, [prepared(robot, recording)] * 10, settings,
+        robot_at=np.zeros(len(unknowns.prior.names)),
+    )  # fmt: skip
+    assert all(len(start) == 0 for start in fitter.starts())

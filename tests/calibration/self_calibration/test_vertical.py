@@ -135,3 +135,34 @@ def test_the_load_follows_a_turn_of_the_whole_set_up():
     where = turn.apply(position - home) + home
     other = find_vertical(problem, turned, where, still, used).load
     assert other == pytest.approx(turn.apply(load), rel=1e-9)
+
+
+def test_the_new_file_knows_the_tilt_as_well_as_the_tensions():
+    result, _, _, _ = tilted(2)
+    arms = result.before.anchor_points
+    motion = moves(exits(result) - arms - result.frame.home, 1.0).reshape(-1, 6)
+    back = np.linalg.pinv(motion)
+    turns = (back @ result.frame.convention @ back.T)[3:5, 3:5]
+    told = TILTED_BY @ turns @ TILTED_BY.T
+    assert told == pytest.approx(result.frame.vertical.covariance, rel=1e-6)
+
+
+def test_a_file_that_knows_one_tilt_better_keeps_its_own():
+    _, _, angles, robot = tilted(2)
+    sharp = np.tile(np.diag([1.0, 1.0, 1e-6]), (robot.n, 1, 1))  # heights: 0.5 mm
+    wide = replace(robot, exit_covariance=0.25 * sharp)
+    result = calibrate_motor_angles(angles, wide)
+    assert not result.frame.level
+    assert "know it better" in " ".join(result.sentences())
+
+
+@pytest.mark.parametrize("kept", [1, 30])
+def test_one_sample_or_no_tension_tells_nothing(kept):
+    _, _, angles, robot = tilted(1)
+    problem = MotorAngleProblem(robot, angles, SelfCalibrationSettings())
+    used = np.arange(len(angles.samples)) < kept
+    if kept > 1:
+        problem.angles = replace(angles, tension=np.zeros_like(angles.tension))
+    position = np.tile(robot.home_position, (len(used), 1))
+    still = np.zeros((*position.shape, problem.size))
+    assert find_vertical(problem, problem.prior.mean, position, still, used) is None
