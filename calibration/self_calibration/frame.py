@@ -259,8 +259,6 @@ def find_frame(
     values, vectors = np.linalg.eigh(motion.T @ information @ motion / problem.robot.n)
     free = vectors[:, values < (FREE_MOTION_SHARE * lever) ** -2]
     heading = problem.settings.x_through
-    if heading is not None:
-        _check_heading(problem, heading, exits, free)
     tilts = bool((np.linalg.norm(free.T @ TILTS, axis=0) > SAME_MOTION).all())
     held = _held(problem, free)
     spread = _spread_before(problem, held)
@@ -269,6 +267,9 @@ def find_frame(
         elsewhere = float(np.linalg.norm(free[3:5])) > AXIS_NAMED_MIN
         vertical = replace(vertical, reason=ELSEWHERE) if elsewhere else None
     level = vertical is not None and (upright or vertical.known_better_than(tilt.T @ spread @ tilt))
+    if heading is not None:
+        up = vertical.up if level and vertical is not None else np.array([0.0, 0.0, 1.0])
+        _check_heading(problem, heading, exits, free, up)
     named = [*TILTS.T] * level + [TURN_ABOUT_Z] * (heading is not None)
     if named:
         first = np.array(named).T
@@ -306,8 +307,13 @@ def find_frame(
     )
 
 
-def _check_heading(problem: MotorAngleProblem, heading: str, exits: Array, free: Array) -> None:
-    """Refuse an x axis through an exit point where the heading is known, or no exit point tells."""
+def _check_heading(
+    problem: MotorAngleProblem, heading: str, exits: Array, free: Array, up: Array
+) -> None:
+    """Refuse an x axis through an exit point where the heading is known, or this point tells none.
+
+    Upwards is along `up`, which z may not be yet.
+    """
     if np.linalg.norm(free.T @ TURN_ABOUT_Z) < SAME_MOTION:
         allowed = "nothing, as what was measured tells the heading"
         if np.linalg.norm(free[5]) > AXIS_NAMED_MIN:
@@ -317,7 +323,7 @@ def _check_heading(problem: MotorAngleProblem, heading: str, exits: Array, free:
             )
         raise InvalidField("x_through", repr(heading), allowed)
     ray = exits[problem.robot.cable_names.index(heading)] - problem.robot.home_position
-    if np.hypot(ray[0], ray[1]) < HEADING_SHARE_MIN * np.linalg.norm(ray):
+    if np.linalg.norm(np.cross(up, ray)) < HEADING_SHARE_MIN * np.linalg.norm(ray):
         allowed = (
             f"an exit point beside home: that of {heading} is nearly on the vertical through "
             "home, and tells no heading"

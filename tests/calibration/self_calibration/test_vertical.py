@@ -166,3 +166,10 @@ def test_one_sample_or_no_tension_tells_nothing(kept):
     position = np.tile(robot.home_position, (len(used), 1))
     still = np.zeros((*position.shape, problem.size))
     assert find_vertical(problem, problem.prior.mean, position, still, used) is None
+
+
+def test_x_goes_through_an_exit_point_of_the_upright_set_up():
+    result, truth, _, _ = tilted(2, share=1e-3, lean=0.2, x_through="b")
+    assert result.frame.level and result.frame.heading == "b"
+    assert exits(result)[1, 1] == pytest.approx(0.0, abs=1e-3)
+    assert lean(result, truth) < 0.01
