@@ -44,6 +44,7 @@ CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing sho
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
+SLID_GAIN_MIN = 1.0  # squared sigmas by which another direction of sliding must fit better
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -135,6 +136,9 @@ class Fitter:
         for share in SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES:
             self._runs = tuple(run.first(share) for run in whole)
             state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
+            at = state.at
+        if self._sways and (slid := self._slid_otherwise(state)) is not None:
+            state = self._settle(slid, None, report)
             at = state.at
         noise = estimate_noise(state.errors)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
@@ -420,6 +424,61 @@ class Fitter:
             if good[k][0] and noise.cost(trials[k][0]) + float(trial[rows] @ trial[rows]) < before:
                 point[rows], found[k] = trial[rows], trials[k][0]
         return point, found
+
+    def _slid_otherwise(self, state: _Search) -> Array | None:
+        """Let platforms slide in other directions before their start, where that fits better.
+
+        Dry friction remembers a direction: along the slope a search finds the nearest one only.
+        What it remembers shows at first, so that the first poses choose, and all of them judge.
+
+        Returns:
+            All coordinates, or None where no recording fits better.
+        """
+        at, whole, noise = state.at, self._runs, estimate_noise(state.errors)
+        self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
+        step = COARSE_STEP_RATIO * self._time_step
+        trials = []
+        for run, own in zip(self._runs, self._own, strict=True):
+            others = run.sway.slid_otherwise(at[own[self._count :]])
+            points = np.tile(at, (1 + len(others), 1))
+            points[1:, own[self._count :]] = others
+            trials.append(points)
+        errors, good = self._simulated(trials, step)
+        slopes = self._jacobians(at, coarse=True, starts=True)
+        for points, found, slope, run, own in zip(
+            trials, errors, slopes, self._runs, self._own, strict=True
+        ):  # the displacement and the speed at the start follow, to first order
+            rows = own[self._count : self._count + len(run.sway.sigma)]
+            flat = slope[:, :, self._count : self._count + len(rows)].reshape(-1, len(rows))
+            for point, error in zip(points, found, strict=True):
+                weight = noise.weights(error).ravel()
+                hessian = flat.T @ (weight[:, None] * flat) + np.eye(len(rows))
+                pull = flat.T @ (weight * error.ravel()) + point[rows]
+                point[rows] -= np.linalg.solve(hessian, pull)
+        errors, good = self._simulated(trials, step)
+        best = at.copy()
+        for points, found, sound, own in zip(trials, errors, good, self._own, strict=True):
+            rows = own[self._count :]
+            costs = [
+                noise.cost(error) + float(point[rows] @ point[rows]) if fine else np.inf
+                for point, error, fine in zip(points, found, sound, strict=True)
+            ]
+            best[rows] = points[int(np.argmin(costs))][rows]
+        self._runs = whole
+        errors, good = self._errors([best[None]] * len(whole))
+        if not all(each.all() for each in good):
+            return None
+        tried, ends = self._restarted(best, [each[0] for each in errors], noise)
+        better = False
+        for before, after, own in zip(state.errors, ends, self._own, strict=True):
+            rows = own[self._count :]
+            gain = noise.cost(before) + float(at[rows] @ at[rows])
+            gain -= noise.cost(after) + float(tried[rows] @ tried[rows])
+            if gain > SLID_GAIN_MIN:
+                better = True
+            else:
+                tried[rows] = at[rows]
+        return tried if better else None
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh, null_space
@@ -97,6 +98,17 @@ class FreeSway:
         if not len(self.sliding_sigma):
             return speed
         return speed + self.sliding_sigma * coordinates[-len(self.sliding_sigma) :]
+
+    def slid_otherwise(self, coordinates: Array) -> Array:
+        """Return the same start after sliding in directions all around, shape (D, coordinates)."""
+        count = len(self.sliding_sigma)
+        if not count:
+            return np.zeros((0, len(coordinates)))
+        directions = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=count) if any(d)])
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        others = np.tile(coordinates, (len(directions), 1))
+        others[:, -count:] = directions - self.values(coordinates)[1] / self.sliding_sigma
+        return others
 
 
 def find_sway(
