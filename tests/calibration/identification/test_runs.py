@@ -170,3 +170,14 @@ def test_nothing_to_search_needs_no_derivatives():
         robot_at=np.zeros(len(unknowns.prior.names)),
     )  # fmt: skip
     assert all(len(start) == 0 for start in fitter.starts())
+
+
+def test_sliding_otherwise_is_in_every_direction_and_nothing_else(runs):
+    sway, start = runs[0].sway, runs[0].sway.guess + 0.1
+    others = sway.slid_otherwise(start)
+    speeds = np.array([sway.sliding(each) / sway.sliding_sigma for each in others])
+    assert np.linalg.norm(speeds, axis=1) == pytest.approx(np.ones(len(others)))
+    apart = np.linalg.norm(speeds[:, None] - speeds, axis=2) + 9.0 * np.eye(len(speeds))
+    assert 0.4 < apart.min() and apart.min(axis=1).max() < 0.8  # no gap
+    count = len(sway.sliding_sigma)
+    assert (others[:, :-count] == start[:-count]).all()
