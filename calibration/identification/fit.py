@@ -185,7 +185,8 @@ class Fitter:
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = estimate_noise(errors)
-            report(sum(map(len, errors)), *_rms(np.concatenate(errors)))
+            poses = sum(len(run.poses.time) for run in self._runs)
+            report(poses, *_rms(np.concatenate(errors)))
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
             settled = self._promise(at, hessian, gradient) <= least
