@@ -46,8 +46,9 @@ def test_a_person_is_guided_to_a_robot_file_and_its_verdict(tmp_path, monkeypatc
     assert len(asked) == result.data["samples"] - 1 + 10
     assert "m from home" in asked[0] and "Enter when it rests" in asked[0]
     assert "tape: --distance a b" in shown
-    verdict, _, new_file = shown.rstrip().splitlines()[-3:]
+    verdict, _, new_file, upright = shown.rstrip().splitlines()[-4:]
     assert "within their claim" in verdict
+    assert upright.startswith("it is upright by the measured tensions")
     assert new_file == f"new robot file: {output}"
     robot, before = load_robot(str(output)), load_robot("hangprinter")
     assert np.abs(robot.exit_points - before.exit_points).max() > 0.05
