@@ -64,10 +64,10 @@ def upload_robots(robots: Sequence[Robot], device: str) -> tuple[wp.array, wp.ar
 
 def stacked(record: Callable[[Robot], NDArray[Any]], robots: Sequence[Robot]) -> NDArray[Any]:
     """Stack a record of each robot, made once where a robot occurs again."""
-    rows: dict[int, int] = {}
-    which = [rows.setdefault(id(robot), len(rows)) for robot in robots]
     different = {id(robot): robot for robot in robots}
-    return np.asarray(np.stack([record(different[key]) for key in rows])[which])
+    place = {key: row for row, key in enumerate(different)}
+    records = np.stack([record(robot) for robot in different.values()])
+    return np.asarray(records[[place[id(robot)] for robot in robots]])
 
 
 class Buffers:

@@ -14,7 +14,7 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.device import Buffers
+from carosac_toolkit.physics.device import Buffers, stacked
 from carosac_toolkit.physics.motion import winch_kernels
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.physics.scales import Scales
@@ -206,7 +206,7 @@ class Encoders:
         Raises:
             InvalidField: As `winch_records`.
         """
-        records = np.stack([winch_records(robot, settings) for robot in robots])
+        records = stacked(lambda robot: winch_records(robot, settings), robots)
         warp_setup.load(winch_kernels)
         self._records = wp.array(records, dtype=Winch, device="cpu")
         self._shape = (size, robots[0].n)
