@@ -444,7 +444,7 @@ class Fitter:
             points = np.tile(at, (1 + len(others), 1))
             points[1:, own[self._count :]] = others
             trials.append(points)
-        errors, good = self._simulated(trials, step)
+        errors, _ = self._simulated(trials, step)
         slopes = self._jacobians(at, coarse=True, starts=True)
         for points, found, slope, run, own in zip(
             trials, errors, slopes, self._runs, self._own, strict=True

@@ -38,6 +38,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
@@ -187,10 +188,12 @@ def _identify(
     poses = [_check(part, robot) for part in parts]
     _check_motion(robot, parts, poses)
     unknowns = choose_coordinates(robot, chosen)
-    windows = _windows(parts, robot, poses)
+    paths = [LengthPath(part.recording) for part in parts]
+    rests = [first_equilibrium(robot, path) for path in paths]
+    windows = _windows(parts, robot, poses, rests)
     runs = [
-        _prepared(part, robot, each, chosen, window)
-        for part, each, window in zip(parts, poses, windows, strict=True)
+        _prepared(part, robot, each, chosen, path, rest, window)
+        for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
     ]
     before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
@@ -271,7 +274,12 @@ def _some(runs: Sequence[_Run], which: str) -> list[int]:
     return [rows[int(k)] for k in np.unique(picked.round())]
 
 
-def _windows(parts: Sequence[_Part], robot: Robot, poses: Sequence[MeasuredPoses]) -> list[float]:
+def _windows(
+    parts: Sequence[_Part],
+    robot: Robot,
+    poses: Sequence[MeasuredPoses],
+    rests: Sequence[Equilibrium],
+) -> list[float]:
     """Return over which times errors are averaged [s]; 0: not, as where there are few recordings.
 
     In a few recordings what lasts counts by its correlation, and a vibration tells the stiffness.
@@ -281,12 +289,8 @@ def _windows(parts: Sequence[_Part], robot: Robot, poses: Sequence[MeasuredPoses
     if sum(trained) < RUNS_APART_MIN:
         return none
     windows = [
-        slow_window(
-            robot,
-            first_equilibrium(robot, LengthPath(part.recording)),
-            each.within(*_fitted_span(part)).time,
-        )
-        for part, each in zip(parts, poses, strict=True)
+        slow_window(robot, rest, each.within(*_fitted_span(part)).time)
+        for part, each, rest in zip(parts, poses, rests, strict=True)
     ]
     return windows if all(np.array(windows)[trained]) else none
 
@@ -303,17 +307,17 @@ def _prepared(
     robot: Robot,
     poses: MeasuredPoses,
     settings: IdentificationSettings,
+    path: LengthPath,
+    rest: Equilibrium,
     window: float,
 ) -> _Run:
     """Find how a recording begins, and what of it a fit sees, averaged over a window [s]."""
-    recording, path = part.recording, LengthPath(part.recording)
+    recording = part.recording
     first = first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
         poses.rotation,
     )  # fmt: skip
-    sway = find_sway(
-        robot, first_equilibrium(robot, path), poses, moves=first.moves, vibrates=not window
-    )
+    sway = find_sway(robot, rest, poses, moves=first.moves, vibrates=not window)
     fitted = FittedRun(
         path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
         window=window,
