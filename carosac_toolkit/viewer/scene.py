@@ -73,11 +73,8 @@ class RobotScene:
             self._draw_frame(plain=plain)
         self._platform = self._add_platform()
         grey = vertex_colors(np.tile(np.array(FRAME_COLOR, dtype=np.uint8), (1, 2, 1)))
-        self._cables = (
-            self._add_lines(  # with a colour a vertex from the first: open pages keep to the kind
-                "cables", np.zeros((1, 2, 3)), grey, 2.0 if ghost else 4.0
-            )
-        )
+        # With a colour a vertex from the first: pages that are open keep to that kind.
+        self._cables = self._add_lines("cables", np.zeros((1, 2, 3)), grey, 2.0 if ghost else 4.0)
         self._trails = {
             key: self._add_lines(f"trail_{key}", np.zeros((1, 2, 3)), color, 2.0)
             for key, color in (
