@@ -96,9 +96,11 @@ class SampleFile:
             file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
         try:
             _lock(file, path)
-            yield cls(path, robot)
-            if not os.fstat(file).st_size:  # not begun
-                path.unlink(missing_ok=True)
+            try:
+                yield cls(path, robot)
+            finally:
+                if not os.fstat(file).st_size:  # not begun
+                    path.unlink(missing_ok=True)
         finally:
             os.close(file)
 

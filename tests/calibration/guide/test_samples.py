@@ -139,3 +139,10 @@ def test_a_full_disk_is_told_and_counts_no_sample(file, monkeypatch):
     with pytest.raises(InvalidField, match=r"SAMPLES: .* No space left on device"):
         file.add("2", rest())
     assert file.names == ["home", "1", "check_1"]
+
+
+def test_what_ends_before_the_first_sample_leaves_no_file(tmp_path):
+    path = tmp_path / "samples.csv"
+    with pytest.raises(InvalidField, match="--port"), SampleFile.held(path, ROBOT):
+        raise InvalidField("--port", "0", "1 to 65535")
+    assert not path.exists()
