@@ -47,7 +47,7 @@ from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import failures
 from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
 from carosac_toolkit.trajectories.catalogue import default_limits
-from carosac_toolkit.trajectories.path_file import is_path_file
+from carosac_toolkit.trajectories.path_file import departure_from_rows, is_path_file
 
 
 def run(options: Options) -> CommandResult:
@@ -73,6 +73,8 @@ def run(options: Options) -> CommandResult:
     study.prepare()
     for one in infeasible(study.feasibility):
         print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
+    for text in filter(None, map(departure_from_rows, study.trajectories)):
+        print(wrapped(text, width, "NOTE: "), flush=True)
     results = study.run()
     sentences, short = conclusions(results), headlines(results)
     blocks = paired_blocks(results, options.baseline)

@@ -394,3 +394,18 @@ def test_bad_paths_are_refused_before_any_work(words, message, capsys):
     assert main(["compare", "--output", "out", "--trajectories", *words]) == 2
     assert message in capsys.readouterr().err
     assert names() == ["high.csv"]
+
+
+def write_path(file, rows):
+    """Write a path; rows of time [s] and of metres from a place in the box of `carosac`."""
+    lines = [f"{t},{x},{y - 0.8},{z + 2.5}" for t, x, y, z in rows]
+    file.write_text("\n".join(["time_s,position_x_m,position_y_m,position_z_m", *lines]) + "\n")
+    return str(file)
+
+
+def test_a_path_that_bends_away_from_its_rows_is_told_before_the_run(tmp_path, capsys):
+    path = write_path(tmp_path / "turned.csv", [(0, 0.5, 0, 0), (4, 0, 0.5, 0), (8, -0.5, 0, 0)])
+    words = ["compare", *TWO, "--estimators", "kinematic_solver", "--seeds", "1", "--workers", "0"]
+    assert main([*words, "--trajectories", path, "--output", str(tmp_path / "o")]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "NOTE: turned.csv: between lines " in text and "m from the straight line" in text
