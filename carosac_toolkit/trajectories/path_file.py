@@ -8,7 +8,7 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
-from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording
+from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording, neighbour
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.path_table import PathTable, read_path
 from carosac_toolkit.trajectories.recorded import from_recording
@@ -35,7 +35,9 @@ def path_file(name: str) -> Path:
     """
     path = find_recording(name)
     if not path.exists():
-        raise MissingFile(path, "a trajectory is a .csv, or a recording or the folder with one")
+        near = neighbour(path)
+        hint = "a trajectory is a .csv, or a recording or the folder with one"
+        raise MissingFile(path, f"{hint}; {near}" if near else hint)
     if not path.is_dir():
         return path
     held = sorted(file for file in path.iterdir() if file.suffix.lower() in READERS_BY_SUFFIX)
@@ -43,6 +45,24 @@ def path_file(name: str) -> Path:
         names = ", ".join(file.name for file in held[:5]) or "none"
         raise InvalidFile(path, [f"recordings: got {names}; allowed: one in a folder, or name it"])
     return held[0]
+
+
+def check_suffix(name: str) -> None:
+    """Refuse a name with a suffix that no file of a trajectory has.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidFile: There is, of another kind.
+    """
+    path = Path(name)
+    if not path.suffix or is_path_file(name):
+        return
+    suffixes = ", ".join(READERS_BY_SUFFIX)
+    if not path.exists():
+        near = neighbour(path)
+        hint = f"a trajectory is a file with suffix {suffixes}"
+        raise MissingFile(path, f"{hint}; {near}" if near else hint)
+    raise InvalidFile(path, [f"suffix: got {path.suffix!r}; allowed: {suffixes}"])
 
 
 def path_digest(name: str) -> str | None:

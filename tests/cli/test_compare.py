@@ -409,3 +409,18 @@ def test_a_path_that_bends_away_from_its_rows_is_told_before_the_run(tmp_path, c
     assert main([*words, "--trajectories", path, "--output", str(tmp_path / "o")]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "NOTE: turned.csv: between lines " in text and "m from the straight line" in text
+
+
+def test_a_trajectory_that_looks_like_a_file_is_missed_as_a_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_path(Path("path.csv"), [(0, 0, 0, 0), (4, 0.5, 0, 0)])
+    Path("path.txt").write_text("x")
+    for name, message in (
+        ("path.cvs", "path.cvs: no such file; a trajectory is a file with suffix .parquet"),
+        ("./pth.csv", "pth.csv: no such file; a trajectory is a .csv, or a recording or"),
+        ("path.txt", "path.txt: 1 fault suffix: got '.txt'; allowed: .parquet, .csv"),
+    ):
+        assert main(["compare", *TWO, "--trajectories", name]) == 2
+        text = " ".join(capsys.readouterr().err.split())
+        assert message in text
+        assert name == "path.txt" or "did you mean 'path.csv'?" in text
