@@ -87,12 +87,16 @@ def from_file(name: str, robot: Robot) -> Trajectory:
 
     Raises:
         InvalidFile: All faults of the table or the recording.
-        InvalidField: The path leaves the box; names the rows between which it does.
+        InvalidField: The path leaves the box; names the row that does, or the two rows between
+            which it does.
     """
     file, digest = path_file(name), path_digest(name) or ""
     path, table = _read(file, digest, robot), _table(file, digest)
     leaving = path.leaving(robot)
     if leaving is not None:
+        row = None if table is None or path.moved else table.row_outside(robot)
+        if row is not None:
+            raise InvalidField(f"{file.name}: {row.field}", row.value, row.allowed)
         rows = "" if table is None else f", {table.lines_at(leaving.time)}"
         raise InvalidField(f"{leaving.field}{rows}", leaving.value, leaving.allowed)
     return path

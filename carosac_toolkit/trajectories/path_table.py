@@ -10,17 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.recordings.csv_file import read_table
 from carosac_toolkit.recordings.table import FAULTS_SHOWN, Faults
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.row_curve import farthest_from_chords, path_size, through_rows
+from carosac_toolkit.trajectories.trajectory import BOX_MARGIN_M
 
 PATH_COLUMNS = ("time_s", "position_x_m", "position_y_m", "position_z_m")
 LENGTH_COLUMN_STARTS = ("unstrained_length", "cable_length")  # of a recording
 ROWS_MIN = 2
 DEPARTURE_RATIO = 0.01  # of the size of the path: up to there nobody is told
+MILLIMETRE_RATIO = 20.0  # of a coordinate to the largest one of the box, from which mm are likely
 ROW_TIME_TOLERANCE = 1e-9  # of the duration: a time this near to that of a row is on it
 
 
@@ -50,6 +53,25 @@ class PathTable:
             return f"on line {self.lines[near]}"
         after = int(np.searchsorted(self.time, time))
         return f"between lines {self.lines[after - 1]} and {self.lines[after]}"
+
+    def row_outside(self, robot: Robot) -> InvalidField | None:
+        """Return an error for the first row outside of a robot's workspace box; None without one.
+
+        Coordinates far outside may be in millimetres, and the error asks.
+        """
+        low, high = robot.workspace_min, robot.workspace_max
+        outside = (self.position < low - BOX_MARGIN_M) | (self.position > high + BOX_MARGIN_M)
+        if not outside.any():
+            return None
+        k, axis = (int(i) for i in np.argwhere(outside)[0])
+        reach = float(np.abs([low, high]).max())
+        far = np.abs(self.position).max() > MILLIMETRE_RATIO * reach
+        allowed = f"{low[axis]:g} m to {high[axis]:g} m, the box of {robot.name!r}"
+        return InvalidField(
+            f"line {self.lines[k]}, column {PATH_COLUMNS[1 + axis]!r}",
+            f"{self.position[k, axis]:g} m",
+            f"{allowed}; are the positions in mm?" if far else allowed,
+        )
 
     def departure(self, name: str) -> str | None:
         """Say how far the curve goes from the straight lines between the rows, where it is much.

@@ -383,7 +383,7 @@ def test_a_path_of_the_user_is_run_and_its_study_viewed_from_anywhere(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["high.csv"], "high.csv: z at 2.000 s: got 6.0000 m; allowed: 1 m to 5 m, the box of"),
+        (["high.csv"], "high.csv: line 3, column 'position_z_m': got 6 m; allowed: 1 m to 5 m, the"),
         (["none.csv"], "none.csv: no such file; a trajectory is a .csv, or a recording"),
         (["high.csv", "--speed", "2"], "speed_max: got 2.0 m/s; allowed: none: all trajectories"),
         (["circel"], "or ./FOLDER with one; did you mean 'circle'?"),

@@ -100,6 +100,8 @@ def test_lengths_alone_give_the_path_of_the_equilibria(tmp_path):
          "line 3, column 'position_z_m': got 'high'; allowed: a number"),
         (f"{HEADER}\n0,0,0,2\n2,0,0,2\n2,0,0,2.1\n",
          "line 4, column 'time_s': got 2 after 2; allowed: rising times"),
+        ("0,0,0,2\n1,0,0,2\n", "the first line must name the columns: got '0,0,0,2'; allowed: "
+         "time_s,position_x_m,position_y_m,position_z_m for a path, time_s,cable_length_1_m"),
         (HEADER.replace(",", ";") + "\n0;0;0;2\n", "is the separator ';'?"),
     ],
 )  # fmt: skip
@@ -113,7 +115,7 @@ def test_a_bad_table_is_one_message(tmp_path, text, message):
 def test_a_path_that_leaves_the_box_is_refused_with_place_and_time(tmp_path):
     high = ROBOT.home_position + np.array([[0, 0, 0], [0, 0, 9.0], [0, 0, 0]])
     name = write(tmp_path / "high.csv", [0.0, 2.0, 4.0], high)
-    expected = r"high.csv: z at 2.000 s, on line 3: got .* the box of 'carosac'"
+    expected = r"high.csv: line 3, column 'position_z_m': got 11.* m; .* the box of 'carosac'$"
     with pytest.raises(InvalidField, match=expected):
         from_file(name, ROBOT)
     low, top = ROBOT.workspace_min, ROBOT.workspace_max
@@ -122,6 +124,13 @@ def test_a_path_that_leaves_the_box_is_refused_with_place_and_time(tmp_path):
     edge = np.column_stack([np.interp(time, np.arange(0.0, 9.0, 2.0), x) for x in round_trip.T])
     name = write(tmp_path / "edge.csv", time, np.column_stack([edge, np.full(41, low[2])]))
     with pytest.raises(InvalidField, match=r"edge.csv: x at .* s, between lines \d+ and \d+: got"):
+        from_file(name, ROBOT)
+
+
+def test_positions_in_millimetres_are_asked_about_with_their_row(tmp_path):
+    rows = 1e3 * (ROBOT.home_position + np.array([[0, 0, 0], [0.1, 0, 0]]))
+    name = write(tmp_path / "mm.csv", [0.0, 2.0], rows)
+    with pytest.raises(InvalidField, match=r"mm.csv: line 2, column .* are the positions in mm\?"):
         from_file(name, ROBOT)
 
 
