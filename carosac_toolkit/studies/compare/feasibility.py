@@ -31,6 +31,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_of
+from carosac_toolkit.trajectories.path_file import is_path_file
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 PATH_SAMPLES = 160  # of one path
@@ -38,6 +39,7 @@ PATHS_MAX = 3  # seeds of each kind of path that are judged: they differ little
 CABLES_MIN = 3  # with fewer the platform rests on a surface only, which a path need not lie on
 MARGIN_TOLERANCE_RATIO = 0.02  # of the weight per cable: what straight cables may be wrong by
 WINCH_TOLERANCE_RATIO = 1e-3  # of a winch limit: differences of lengths are not exact
+STRETCH_STEPS = 1000  # of a factor of all times, which is rounded up
 BISECTIONS = 10  # of the square of the time scale: 0.1 % of it
 
 
@@ -72,10 +74,19 @@ class PathFeasibility:
         text = f"{self.trajectory}{part} is not feasible on {self.robot}: {self.reason}."
         if self.time_scale is None:
             return f"{text} At no speed: the robot cannot even rest there."
+        platform = (
+            f"{self.time_scale * self.speed:.3g} m/s and "
+            f"{self.time_scale**2 * self.acceleration:.3g} m/s^2"
+        )
+        if is_path_file(self.trajectory):
+            stretch = np.ceil(STRETCH_STEPS / self.time_scale) / STRETCH_STEPS
+            return (
+                f"{text} Feasible with all times in the file multiplied by {stretch:g} or more; "
+                f"the platform then reaches {platform}."
+            )
         return (
-            f"{text} Feasible up to {self.time_scale * self.speed:.3g} m/s with "
-            f"{self.time_scale**2 * self.acceleration:.3g} m/s^2, {100 * self.time_scale:.0f} % of "
-            "the speed of this study."
+            f"{text} Feasible up to {100 * self.time_scale:.0f} % of the speed of this study, at "
+            f"which the platform reaches {platform}."
         )
 
     def data(self) -> dict[str, Any]:
