@@ -122,6 +122,10 @@ def _run(name: str, words: list[str]) -> int:
     try:
         with plain_output(), naming_extras(f"command '{spoken_name}'"):
             answer = module.run(options)
+    except InvalidField as error:
+        from carosac_toolkit.cli.option_names import name_option
+
+        raise name_option(error, options, words) from error
     except SystemExit as error:
         if error.code:
             raise
