@@ -15,6 +15,9 @@ from carosac_toolkit.loop.plugins import load
         (["robots", "--seed=1.5"], "--seed: got '1.5'; allowed: a whole number"),
         (["validate", "x", "--stop", "y"], "--stop: got 'y'; allowed: a whole number"),
         (["robots", "--json"], "--json: got nothing; allowed: a value; see 'carosac robots"),
+        (["run", "--set", "controller.kinematic_solver.gian=1", "--controller", "kinematic_solver"],
+         "--set controller.kinematic_solver.gian: got 1; allowed: one of ['delay', 'distribution', "
+         "'gain', 'period']; did you mean 'gain'?"),
         (["check"], "ROBOT: got nothing; allowed: a robot, as ROBOT or --robot ROBOT"),
         (["check", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot; "
          "the argument is 'scampi'"),
