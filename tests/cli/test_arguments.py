@@ -24,6 +24,10 @@ from carosac_toolkit.loop.plugins import load
         (["view", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot"),
         (["view"], "WHAT: got nothing; allowed: a robot, a recording or a study's folder"),
         (["check", "a", "b"], "argument: got 'b'; allowed: nothing more"),
+        (["compare", "mine.yaml"], "argument: got 'mine.yaml'; allowed: nothing more; did you mean "
+         "'--robot mine.yaml'?"),
+        (["compare", "scampi"], "did you mean '--robot scampi'?"),
+        (["completion"], "SHELL: got nothing; allowed: one of bash, zsh, fish; see 'carosac "),
         (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed, "
          "--copy; did you mean '--seed'?"),
         (["check", "x", "--robts", "y"], "option: got '--robts'; allowed: --help, --json, --seed, "
