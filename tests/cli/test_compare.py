@@ -7,6 +7,7 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures import animation
+from carosac_toolkit.robot import file as robot_file
 from carosac_toolkit.studies import read_rows
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
@@ -411,6 +412,21 @@ def write_path(file, rows):
     lines = [f"{t},{x},{y - 0.8},{z + 2.5}" for t, x, y, z in rows]
     file.write_text("\n".join(["time_s,position_x_m,position_y_m,position_z_m", *lines]) + "\n")
     return str(file)
+
+
+@pytest.mark.parametrize("driver", ["simulator", "quasi_static"])
+def test_a_robot_that_cannot_rest_is_refused_before_the_run(capsys, driver):
+    text = (Path(robot_file.__file__).parent / "bundled" / "desktop.yaml").read_text()
+    limits = "tension_limits: {min: 0.05 N, max: 10 N}"
+    assert limits in text
+    weak = text.replace(limits, "tension_limits: {min: 0.05 N, max: 0.3 N}")
+    Path("mine.yaml").write_text(weak.replace("name: desktop", "name: labrig"))
+    words = ["compare", "--robot", "mine.yaml", "--driver", driver, *ALONE]
+    assert main([*words, "--controllers", "straight_line"]) == 2
+    error = capsys.readouterr().err
+    assert "robot: got 'labrig'; allowed: a robot that can rest at home, (0, 0, 0.25) m" in error
+    assert "no tensions within the limits found; carosac check mine.yaml says more" in error
+    assert not Path("carosac-results").exists()
 
 
 def test_a_path_that_bends_away_from_its_rows_is_told_before_the_run(tmp_path, capsys):

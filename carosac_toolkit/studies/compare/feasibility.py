@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.protocols import replays
@@ -30,7 +30,7 @@ from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_of
+from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_digest, robot_of
 from carosac_toolkit.trajectories.path_file import is_path_file
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
@@ -107,12 +107,16 @@ def path_feasibility(cases: Sequence[Case]) -> list[PathFeasibility]:
     Args:
         cases: Cases of the study; on a driver that replays, and for robots of fewer than three
             cables, nothing is judged.
+
+    Raises:
+        InvalidField: A robot that can rest neither at home nor where any of its paths begins.
     """
     groups: dict[tuple[str, str], dict[int, Case]] = {}
     for case in cases:
         if not replays(plugins.load("drivers", str(case.settings.get("driver", "simulator")))):
             groups.setdefault((case.robot, case.trajectory), {})[case.seed] = case
     judged = []
+    starts: dict[str, list[Array]] = {}
     for (name, kind), by_seed in groups.items():
         robot = robot_of(name, digest_of(next(iter(by_seed.values()))))
         paths = []
@@ -121,9 +125,30 @@ def path_feasibility(cases: Sequence[Case]) -> list[PathFeasibility]:
                 paths.append(path_of(case, robot))
             except CarosacError:  # the case fails with this error as its reason
                 continue
+        starts.setdefault(name, []).extend(path.sample([0.0]).position for path in paths)
         if robot.n >= CABLES_MIN and paths:
             judged.append(_judge(name, kind, robot, paths))
+    for name, places in starts.items():
+        if places:
+            _check_rest(name, robot_of(name, robot_digest(name)), np.concatenate(places))
     return judged
+
+
+def _check_rest(name: str, robot: Robot, starts: Array) -> None:
+    """Refuse a robot that can rest neither at home nor at any of the starts (K, 3).
+
+    Raises:
+        InvalidField: It cannot; says why.
+    """
+    places = np.concatenate([robot.home_position[None], starts])
+    rest = statics.inverse_kinematics(robot, places)
+    if not rest.converged.any():
+        x, y, z = robot.home_position
+        allowed = (
+            f"a robot that can rest at home, ({x:g}, {y:g}, {z:g}) m, or where a path begins: "
+            f"{statics.STATUS_REASONS[rest.status[0]]}; carosac check {name} says more"
+        )
+        raise InvalidField("robot", repr(robot.name), allowed)
 
 
 def _judge(name: str, kind: str, robot: Robot, paths: list[Trajectory]) -> PathFeasibility:
