@@ -414,6 +414,22 @@ def write_path(file, rows):
     return str(file)
 
 
+def test_a_robot_goes_by_the_name_in_its_file(capsys):
+    text = (Path(robot_file.__file__).parent / "bundled" / "desktop.yaml").read_text()
+    slow = text.replace("speed_max: 1.5 m/s", "speed_max: 0.2 m/s")
+    Path("mine.yaml").write_text(slow.replace("name: desktop", "name: labrig"))
+    words = ["compare", "--robots", "mine.yaml", "desktop", *TWO, "--driver", "quasi_static"]
+    words += ["--trajectories", "line", "--estimators", "kinematic_solver", "--seeds", "1"]
+    assert main([*words, "--workers", "0", "--output", "o"]) != 2
+    out = " ".join(capsys.readouterr().out.split())
+    assert "labrig, desktop on driver quasi_static" in out
+    assert "WARNING: line is not feasible on labrig: " in out
+    report = Path("o/report.html").read_text()
+    before_settings = report.partition("<h2>Settings</h2>")[0]
+    assert "labrig, condition" in before_settings and "mine.yaml" not in before_settings
+    assert "mine.yaml" not in out.replace("carosac workspace mine.yaml", "")
+
+
 @pytest.mark.parametrize("driver", ["simulator", "quasi_static"])
 def test_a_robot_that_cannot_rest_is_refused_before_the_run(capsys, driver):
     text = (Path(robot_file.__file__).parent / "bundled" / "desktop.yaml").read_text()

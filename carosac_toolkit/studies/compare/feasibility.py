@@ -49,6 +49,7 @@ class PathFeasibility:
 
     Attributes:
         robot: Name or path of the robot, as in the study.
+        robot_name: Its own name.
         trajectory: Kind of path.
         paths: Number of different paths judged.
         infeasible: Number of those that are not feasible.
@@ -60,6 +61,7 @@ class PathFeasibility:
     """
 
     robot: str
+    robot_name: str
     trajectory: str
     paths: int
     infeasible: int
@@ -71,7 +73,7 @@ class PathFeasibility:
     def sentence(self) -> str:
         """Say in words what is not feasible, why, and how fast it would be."""
         part = f" ({self.infeasible} of the first {self.paths} paths)" if self.paths > 1 else ""
-        text = f"{self.trajectory}{part} is not feasible on {self.robot}: {self.reason}."
+        text = f"{self.trajectory}{part} is not feasible on {self.robot_name}: {self.reason}."
         if self.time_scale is None:
             return f"{text} At no speed: the robot cannot even rest there."
         platform = (
@@ -158,8 +160,9 @@ def _judge(name: str, kind: str, robot: Robot, paths: list[Trajectory]) -> PathF
     stops = [stop for path in different.values() if (stop := slowest_stop(robot, path)).scale < 1.0]
     worst = min(stops, key=lambda stop: stop.scale, default=_Stop(1.0, ""))
     return PathFeasibility(
-        robot=name, trajectory=kind, paths=len(different), infeasible=len(stops),
-        reason=worst.reason, time_scale=worst.scale if worst.scale > 0.0 else None,
+        robot=name, robot_name=robot.name, trajectory=kind, paths=len(different),
+        infeasible=len(stops), reason=worst.reason,
+        time_scale=worst.scale if worst.scale > 0.0 else None,
         speed=max(path.peak_speed for path in different.values()),
         acceleration=max(path.peak_acceleration for path in different.values()),
     )  # fmt: skip
