@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
 
 def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
@@ -15,7 +15,8 @@ def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
     chosen: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
+            allowed = f"one of {sorted(known)}{did_you_mean(name, sorted(known))}"
+            raise InvalidField(f"{where}.{name}", repr(value), allowed)
         inner = getattr(settings, name)
         nested = is_dataclass(inner) and isinstance(value, Mapping)
         chosen[name] = filled(f"{where}.{name}", inner, value) if nested else value

@@ -16,6 +16,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.cli.option_source import read_options
+from carosac_toolkit.robot.bundled_names import list_robots
 
 _TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
@@ -105,7 +106,9 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
     """Return the error for an option or argument that the command does not have."""
     token = str(event.tokens[0])
     if not token.startswith("-"):
-        return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
+        hint = _robot_hint(token, options)
+        allowed = f"nothing more{hint}; see '{event.prog} --help'"
+        return InvalidField("argument", repr(token), allowed)
     flag = token.partition("=")[0]
     known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
     options_only = [name for name in known if name not in _positionals(options)]
@@ -113,6 +116,17 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
         return CarosacError(f"{flag} is now {_RENAMED_OPTIONS[flag]}")
     allowed = f"{', '.join(options_only)}{_nearest_options(flag, options, options_only[1:])}"
     return InvalidField("option", repr(token), allowed)
+
+
+def _robot_hint(token: str, options: type) -> str:
+    """Ask whether a word is meant as the robot, where that is an option."""
+    flags = {
+        flag
+        for option in read_options(options.__module__, options.__name__)
+        for flag in option.flags
+    }
+    named = token in list_robots() or token.lower().endswith((".yaml", ".yml"))
+    return f"; did you mean '--robot {token}'?" if named and "--robot" in flags else ""
 
 
 def _nearest_options(flag: str, options: type, known: Sequence[str]) -> str:
@@ -136,8 +150,11 @@ def _nearest_options(flag: str, options: type, known: Sequence[str]) -> str:
 
 def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
     """Return the error for a required argument that is missing."""
-    names = [_spelling(entry.arg) for entry in event.missing_arguments]
-    return InvalidField(" and ".join(names), "nothing", f"a value; see '{event.prog} --help'")
+    missing = [entry.arg for entry in event.missing_arguments]
+    choices = missing[0].lowered.choices if len(missing) == 1 else None
+    allowed = f"one of {', '.join(choices)}" if choices else "a value"
+    names = " and ".join(map(_spelling, missing))
+    return InvalidField(names, "nothing", f"{allowed}; see '{event.prog} --help'")
 
 
 def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:

@@ -2,7 +2,8 @@
 
 A command is a module named in the entry-point group ``carosac.commands``. The first line of its
 docstring is its summary; it has a frozen dataclass ``Options`` that derives from `CommonOptions`
-(the docstring of each field is its help), and ``run(options) -> CommandResult``.
+(the docstring of each field is its help), and ``run(options) -> CommandResult``. If one of its uses
+alone needs an extra, ``EXTRAS_OF_PARTS`` has the words for it by extra, as a literal.
 
 A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and is checked before
 ``run``; what a command reads is text, as it may be a name or a path.

@@ -36,6 +36,7 @@ from carosac_toolkit.studies.compare.defaults import (
 from carosac_toolkit.studies.compare.feasibility import infeasible
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.headlines import headlines
+from carosac_toolkit.studies.compare.names import told_apart
 from carosac_toolkit.studies.compare.paired import (
     check_baseline,
     paired_blocks,
@@ -45,9 +46,9 @@ from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.compare.study import STUDY_AXES, Study
 from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import failures
-from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
+from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.trajectories.catalogue import default_limits
-from carosac_toolkit.trajectories.path_file import is_path_file
+from carosac_toolkit.trajectories.path_file import departure_from_rows, is_path_file
 
 
 def run(options: Options) -> CommandResult:
@@ -73,6 +74,8 @@ def run(options: Options) -> CommandResult:
     study.prepare()
     for one in infeasible(study.feasibility):
         print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
+    for text in filter(None, map(departure_from_rows, study.trajectories)):
+        print(wrapped(text, width, "NOTE: "), flush=True)
     results = study.run()
     sentences, short = conclusions(results), headlines(results)
     blocks = paired_blocks(results, options.baseline)
@@ -170,6 +173,7 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """Describe the study that is about to run."""
+    robots = told_apart({name: load_robot(name).name for name in study.robots})
     drawn = [name for name in study.trajectories if not is_path_file(name)]
     files = [name for name in study.trajectories if name not in drawn]
     paths = [f"{counted(len(drawn), 'trajectory', 'trajectories')} ({', '.join(drawn)}) of up to "
@@ -178,7 +182,7 @@ def _what(study: Study) -> str:
         own = "as fast as the file says" if len(files) == 1 else "as fast as the files say"
         paths.append(f"{', '.join(files)} {own}")
     return (
-        f"{', '.join(map(short_name, study.robots))} on driver {study.driver}, "
+        f"{', '.join(robots.values())} on driver {study.driver}, "
         f"{'condition' if len(study.perturbations) == 1 else 'conditions'} "
         f"{', '.join(study.perturbations)}: {', '.join(paths)}, "
         f"{counted(len(study.seed_list), 'seed')}, in all {counted(len(study.cases()), 'case')}"

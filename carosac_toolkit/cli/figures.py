@@ -65,7 +65,7 @@ def run(options: Options) -> CommandResult:
             skipped.append({"name": wanted.name, "what": wanted.what, "command": wanted.command})
         for one in drawn:
             done.append(_write(wanted, one, folder, options.formats))
-    _print(done, skipped, folder)
+    _print(done, skipped, folder, options.folders)
     return CommandResult({"figures": done, "skipped": skipped}, status=0 if done else 1)
 
 
@@ -90,13 +90,30 @@ def _write(
     return {"name": name, "what": wanted.what, "source": source, "files": files}
 
 
-def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path) -> None:
+def _print(
+    done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path,
+    folders: Sequence[str],
+) -> None:  # fmt: skip
     """Print the source of each figure, and which commands make what is missing."""
     width = terminal_width()
     for one in done:
         origin = f", from {one['source']}" if one["source"] is not None else ""
         print(wrapped(f"{one['name']}: {one['what']}{origin}", width))
     print(wrapped(f"{counted(len(done), 'figure')} in {folder}{_missing(skipped)}", width))
+    if not folders:
+        print(wrapped(_without_folder(skipped), width))
+
+
+def _without_folder(skipped: Sequence[dict[str, str]]) -> str:
+    """Return which figures need a folder with results, by the command that writes it."""
+    names: dict[str, list[str]] = {}
+    for one in skipped:
+        names.setdefault(one["command"].split()[1], []).append(one["name"])
+    each = [f"carosac {command} for {', '.join(figures)}" for command, figures in names.items()]
+    return (
+        "No folder with results was given: carosac figures FOLDER [FOLDER ...]. A folder is "
+        f"written by {'; '.join(each)}."
+    )
 
 
 def _missing(skipped: Sequence[dict[str, str]]) -> str:

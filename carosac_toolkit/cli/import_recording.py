@@ -56,6 +56,7 @@ _OF_BAGS = (
     "lengths", *_OTHER_CHANNELS[:-1], "frames", "names", "length_unit", "relative", "stamps",
     "together", "definitions",
 )  # fmt: skip
+EXTRAS_OF_PARTS = {"ros": "bags"}  # `carosac --help` says so where one is not installed
 CLOCK_HEADER = (
     "channel", "offset [ms]", "sigma [ms]", "explained", "jitter [ms]", "intervals [ms]",
 )  # fmt: skip

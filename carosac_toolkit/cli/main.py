@@ -11,10 +11,10 @@ from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
-from carosac_toolkit.base.extras import naming_extras
+from carosac_toolkit.base.extras import missing_extras, naming_extras, with_extras
 from carosac_toolkit.base.terminal import plain_output, printable
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.cli.option_source import read_summary
+from carosac_toolkit.cli.option_source import read_summary, read_texts
 from carosac_toolkit.loop.plugins import entry_points_of, lacking, load
 
 _USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
@@ -122,6 +122,10 @@ def _run(name: str, words: list[str]) -> int:
     try:
         with plain_output(), naming_extras(f"command '{spoken_name}'"):
             answer = module.run(options)
+    except InvalidField as error:
+        from carosac_toolkit.cli.option_names import name_option
+
+        raise name_option(error, options, words) from error
     except SystemExit as error:
         if error.code:
             raise
@@ -153,7 +157,15 @@ def _summary(entry: EntryPoint) -> str:
     if summary is None:
         return f"(not installed: {entry.value})"
     needed = lacking(entry)
-    return f"{summary} Needs {needed}." if needed else summary
+    if needed:
+        return f"{summary} Needs {needed}."
+    parts = read_texts(entry.module, "EXTRAS_OF_PARTS")
+    more = [
+        f" Needs {with_extras([extra])} for {part}."
+        for extra, part in parts.items()
+        if missing_extras([extra])
+    ]
+    return f"{summary}{''.join(more)}"
 
 
 if __name__ == "__main__":

@@ -76,6 +76,13 @@ def read_names(module: str, name: str) -> tuple[str, ...]:
     return tuple(str(part.value) for part in parts if isinstance(part, ast.Constant))
 
 
+def read_texts(module: str, name: str) -> dict[str, str]:
+    """Return a dictionary of texts that a module assigns to a name; empty if it has none."""
+    item = _parsed(module).definitions.get(name)
+    value = item.value if isinstance(item, ast.Assign | ast.AnnAssign) else None
+    return {} if value is None else dict(ast.literal_eval(value))
+
+
 def read_stems(package: str, folder: str, suffix: str) -> tuple[str, ...]:
     """Return the names, without suffix, of files in a folder of a package; none without it."""
     spec = find_spec(package)

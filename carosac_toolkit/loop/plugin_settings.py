@@ -1,4 +1,4 @@
-"""Settings of plug-ins and driver, chosen one by one as text: ``controller.mpc.horizon=0.5``."""
+"""Settings of plug-ins and driver, chosen one by one as text: ``controller.mpc.stages=20``."""
 
 from __future__ import annotations
 

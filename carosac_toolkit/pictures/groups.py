@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.pictures.style import SERIES_COLORS, Series, series
+from carosac_toolkit.studies.compare.names import robot_names, short_name
 from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults, labels_by
-from carosac_toolkit.studies.compare.terminal_table import short_name
 from carosac_toolkit.studies.run.robot_copies import robot_of_row
 from carosac_toolkit.studies.run.rows import Row
 
@@ -88,20 +87,6 @@ def left_out(results: StudyResults) -> str:
     return f"the first {GROUPS_MAX} of {count} rows of the table" if count > GROUPS_MAX else ""
 
 
-def robot_names(results: StudyResults) -> dict[str, str]:
-    """Return the name of each robot of a study by its name or path in the rows.
-
-    Robots of one name are told apart by their files.
-    """
-    named = {str(row["robot"]): row for row in reversed(results.rows)}
-    names = {text: _robot_name(results.folder, row) for text, row in reversed(named.items())}
-    known = list(names.values())
-    return {
-        text: name if known.count(name) == 1 else f"{name} ({short_name(text)})"
-        for text, name in names.items()
-    }
-
-
 def robots_title(results: StudyResults) -> str:
     """Return the names of all robots of a study, for a title."""
     names = list(robot_names(results).values())
@@ -119,14 +104,6 @@ def cable_names(results: StudyResults, count: int) -> list[str]:
     if len(named) == 1 and len(names := list(named.pop())) == count:
         return names
     return [f"cable {k + 1}" for k in range(count)]
-
-
-def _robot_name(folder: Path, row: Row) -> str:
-    """Return the name in the file of a robot; that of the file where it can no longer be read."""
-    try:
-        return robot_of_row(folder, row).name
-    except CarosacError:
-        return short_name(str(row["robot"]))
 
 
 def looks_of(groups: Sequence[Group]) -> Mapping[str, Series]:

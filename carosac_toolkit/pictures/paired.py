@@ -18,7 +18,6 @@ from carosac_toolkit.pictures.style import (
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
 from carosac_toolkit.studies.compare.pairs import Pair
 from carosac_toolkit.studies.compare.paper_tables import QUANTITY_TITLES, differing
-from carosac_toolkit.studies.compare.terminal_table import short_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +32,7 @@ def comparable(blocks: Sequence[PairedBlock]) -> bool:
 
 
 @styled
-def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figure:
+def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
     Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
@@ -41,7 +40,6 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
 
     Args:
         blocks: Blocks of a study; those without a ratio are left out.
-        names: Names of the robots, by their names in the blocks.
     """
     shown = [block for block in blocks if _rows(block)]
     most = max(len(_rows(block)) for block in shown)
@@ -55,7 +53,7 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
     labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
     looks = {label: series(k) for k, label in enumerate(labels)}
     for axes, block in zip(panels, shown, strict=False):
-        _draw_block(axes, block, looks, names.get(block.robot, short_name(block.robot)))
+        _draw_block(axes, block, looks, block.robot_name)
     for axes in panels[len(shown) :]:
         axes.remove()
     set_title(figure, *_explanation([pair for block in shown for _, _, pair in _rows(block)]))

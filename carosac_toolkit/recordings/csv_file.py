@@ -19,6 +19,11 @@ from carosac_toolkit.recordings.table import Mask, Table, shortened
 
 BLOCK_CHARACTERS = 2**21  # that are parsed at once
 LINE_CHARACTERS_MAX = 2**17
+HEADER_SHOWN = 60  # characters of a first line without names that messages show
+COLUMNS_HINT = (
+    "time_s,position_x_m,position_y_m,position_z_m for a path, "
+    "time_s,cable_length_1_m,cable_length_2_m,... for a recording"
+)
 COMMENT_LINES_MAX = 100_000
 
 
@@ -136,10 +141,22 @@ def _names(header: str, path: Path) -> list[str]:
     except csv.Error as error:
         raise InvalidFile(path, [f"not a CSV file: {error}"]) from error
     check_recording(path, 0, len(names), 0)
+    if all(map(_is_number, names)):
+        fault = f"the first line must name the columns: got {header[:HEADER_SHOWN]!r}; allowed: "
+        raise InvalidFile(path, [f"{fault}{COLUMNS_HINT}"])
     faults = [f"column {name!r} appears twice" for name in doubles(names)]
     if faults:
         raise InvalidFile(path, shortened(faults))
     return names
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a cell of the header is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _document(lines: list[str], path: Path) -> dict[str, Any] | None:

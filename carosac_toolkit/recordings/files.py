@@ -51,7 +51,7 @@ def load_recording(path: str | Path) -> Recording:
     if file.is_dir():
         raise InvalidFile(file, ["this is a folder; allowed: a recording file"])
     if not file.is_file():
-        raise MissingFile(file, _neighbour(file))
+        raise MissingFile(file, neighbour(file))
     if suffix not in READERS_BY_SUFFIX:
         allowed = f"a recording with suffix {', '.join(READERS_BY_SUFFIX)}"
         raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
@@ -107,8 +107,8 @@ def _replacing(file: Path) -> AbstractContextManager[Path]:
     return replacing(file)
 
 
-def _neighbour(file: Path) -> str:
-    """Suggest a file of a similar name in the same folder."""
+def neighbour(file: Path) -> str:
+    """Suggest a recording or table of a similar name in the same folder, or say nothing."""
     if not file.parent.is_dir():
         return f"there is no folder {str(file.parent)!r}"
     names = [

@@ -22,12 +22,13 @@ from carosac_toolkit.reports.page import (
 )
 from carosac_toolkit.studies.compare.example_cases import curves_of
 from carosac_toolkit.studies.compare.feasibility import infeasible
+from carosac_toolkit.studies.compare.names import short_name
 from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import COLUMN_TITLES, StudyResults, estimated, tracked
 from carosac_toolkit.studies.compare.surprises import surprises
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
-from carosac_toolkit.studies.compare.terminal_table import caption, short_name, terminal_table
+from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.run.robot_copies import PATHS_FOLDER, copy_of
 
 REPORT_COLUMNS = 200  # characters of the summary table, which scrolls where it is wider
@@ -120,7 +121,6 @@ def animation_of(results: StudyResults, controllers: Sequence[str]) -> bytes:
 def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, bytes]:
     """Draw the pictures for which there are data, as files in all formats."""
     from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
-    from carosac_toolkit.pictures.groups import robot_names
     from carosac_toolkit.pictures.paired import comparable, draw_paired
     from carosac_toolkit.pictures.saving import picture_files
 
@@ -133,7 +133,7 @@ def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, b
         names = ["estimation"]
     figures = {name: COMPARISON_PICTURES[name](results) for name in names}
     if comparable(blocks):
-        figures = {"paired": draw_paired(blocks, robot_names(results)), **figures}
+        figures = {"paired": draw_paired(blocks), **figures}
     return picture_files(figures)
 
 

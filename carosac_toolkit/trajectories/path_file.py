@@ -4,27 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from functools import lru_cache
-from math import factorial
 from pathlib import Path
 
-import numpy as np
-
-from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
-from carosac_toolkit.recordings.csv_file import read_table
-from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording
-from carosac_toolkit.recordings.table import FAULTS_SHOWN, Faults
+from carosac_toolkit.recordings.files import READERS_BY_SUFFIX, load_recording, neighbour
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.trajectories.curves import PiecewisePolynomial
+from carosac_toolkit.trajectories.path_table import PathTable, read_path
 from carosac_toolkit.trajectories.recorded import from_recording
 from carosac_toolkit.trajectories.resting import onto_rest
 from carosac_toolkit.trajectories.trajectory import Trajectory
-
-PATH_COLUMNS = ("time_s", "position_x_m", "position_y_m", "position_z_m")
-LENGTH_COLUMN_STARTS = ("unstrained_length", "cable_length")  # of a recording
-SPLINE_DEGREE = 5
-ROWS_MIN = 2
 
 
 def is_path_file(name: str) -> bool:
@@ -46,7 +35,9 @@ def path_file(name: str) -> Path:
     """
     path = find_recording(name)
     if not path.exists():
-        raise MissingFile(path, "a trajectory is a .csv, or a recording or the folder with one")
+        near = neighbour(path)
+        hint = "a trajectory is a .csv, or a recording or the folder with one"
+        raise MissingFile(path, f"{hint}; {near}" if near else hint)
     if not path.is_dir():
         return path
     held = sorted(file for file in path.iterdir() if file.suffix.lower() in READERS_BY_SUFFIX)
@@ -54,6 +45,24 @@ def path_file(name: str) -> Path:
         names = ", ".join(file.name for file in held[:5]) or "none"
         raise InvalidFile(path, [f"recordings: got {names}; allowed: one in a folder, or name it"])
     return held[0]
+
+
+def check_suffix(name: str) -> None:
+    """Refuse a name with a suffix that no file of a trajectory has.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidFile: There is, of another kind.
+    """
+    path = Path(name)
+    if not path.suffix or is_path_file(name):
+        return
+    suffixes = ", ".join(READERS_BY_SUFFIX)
+    if not path.exists():
+        near = neighbour(path)
+        hint = f"a trajectory is a file with suffix {suffixes}"
+        raise MissingFile(path, f"{hint}; {near}" if near else hint)
+    raise InvalidFile(path, [f"suffix: got {path.suffix!r}; allowed: {suffixes}"])
 
 
 def path_digest(name: str) -> str | None:
@@ -66,8 +75,8 @@ def path_digest(name: str) -> str | None:
 def from_file(name: str, robot: Robot) -> Trajectory:
     """Follow the positions of a file at its own times, so that speeds are those of the file.
 
-    A CSV table with the columns `PATH_COLUMNS` is interpolated: a quintic spline through every
-    row, at rest at the first and the last one. A recording is smoothed, as `from_recording` does;
+    A CSV table with the columns `PATH_COLUMNS` is interpolated: quintic pieces through every row,
+    at rest at the first and the last one. A recording is smoothed, as `from_recording` does;
     without measured poses it is the path of the equilibria on its lengths. With two cables the path
     is moved onto positions at which the robot can rest.
 
@@ -78,79 +87,49 @@ def from_file(name: str, robot: Robot) -> Trajectory:
 
     Raises:
         InvalidFile: All faults of the table or the recording.
-        InvalidField: The path leaves the box.
+        InvalidField: The path leaves the box; names the row that does, or the two rows between
+            which it does.
     """
+    file, digest = path_file(name), path_digest(name) or ""
+    path, table = _read(file, digest, robot), _table(file, digest)
+    leaving = path.leaving(robot)
+    if leaving is not None:
+        row = None if table is None or path.moved else table.row_outside(robot)
+        if row is not None:
+            raise InvalidField(f"{file.name}: {row.field}", row.value, row.allowed)
+        rows = "" if table is None else f", {table.lines_at(leaving.time)}"
+        raise InvalidField(f"{leaving.field}{rows}", leaving.value, leaving.allowed)
+    return path
+
+
+def departure_from_rows(name: str) -> str | None:
+    """Say how far a path from a table goes from the straight lines between its rows.
+
+    Returns:
+        A sentence, or None up to `DEPARTURE_RATIO` of the size of the path, and for what is no
+        table.
+    """
+    if not is_path_file(name):
+        return None
     file = path_file(name)
-    return _read(file, path_digest(name) or "", robot).within(robot)
+    table = _table(file, path_digest(name) or "")
+    return None if table is None else table.departure(file.name)
 
 
 @lru_cache(maxsize=8)
 def _read(file: Path, digest: str, robot: Robot) -> Trajectory:
     """Read a trajectory once per file, content and robot."""
-    columns = _table(file)
-    if columns is None:
+    table = _table(file, digest)
+    if table is None:
         path = from_recording(load_recording(file), robot)
         wanted = Trajectory(name=file.name, curve=path.curve, duration=path.duration)
     else:
-        time, position = columns
-        curve, duration = _through(time, position), float(time[-1])
-        wanted = Trajectory(name=file.name, curve=curve, duration=duration)
+        duration = float(table.time[-1])
+        wanted = Trajectory(name=file.name, curve=table.curve, duration=duration)
     return onto_rest(robot, wanted)
 
 
-def _table(file: Path) -> tuple[Array, Array] | None:
-    """Return times from 0 (N,) [s] and positions (N, 3) [m]; None for a recording."""
-    if file.suffix.lower() != ".csv":
-        return None
-    table, document = read_table(file)
-    if document is not None or any(name.startswith(LENGTH_COLUMN_STARTS) for name in table.names):
-        return None
-    faults = Faults()
-    missing = [name for name in PATH_COLUMNS if name not in table.names]
-    faults.add(f"column {name!r} is missing" for name in missing)
-    faults.add(
-        f"column {name!r}: allowed: {', '.join(PATH_COLUMNS)}; remove or rename it"
-        for name in table.names
-        if name not in PATH_COLUMNS
-    )
-    faults.check(file)
-    columns = np.full((table.rows, len(PATH_COLUMNS)), np.nan)
-    lines = np.asarray(table.lines)
-    for k, name in enumerate(PATH_COLUMNS):
-        values, filled = table.take(name)
-        columns[filled, k] = values
-        bad = np.flatnonzero(~np.isfinite(columns[:, k]))
-        faults.add(
-            (
-                f"line {lines[i]}, column {name!r}: got "
-                f"{columns[i, k] if filled[i] else 'nothing'}; allowed: a finite number"
-                for i in bad[:FAULTS_SHOWN]
-            ),
-            len(bad),
-        )
-    faults.check(file)
-    if len(columns) < ROWS_MIN:
-        raise InvalidFile(file, [f"got {len(columns)} rows; allowed: {ROWS_MIN} or more"])
-    time = columns[:, 0]
-    back = np.flatnonzero(np.diff(time) <= 0.0) + 1
-    faults.add(
-        (
-            f"line {lines[i]}, column 'time_s': got {time[i]:g} after {time[i - 1]:g}; allowed: "
-            "rising times"
-            for i in back[:FAULTS_SHOWN]
-        ),
-        len(back),
-    )
-    faults.check(file)
-    return time - time[0], columns[:, 1:]
-
-
-def _through(time: Array, position: Array) -> PiecewisePolynomial:
-    """Interpolate positions (N, 3) at times from 0 (N,), with both ends at rest."""
-    from scipy.interpolate import make_interp_spline
-
-    still = [(order, np.zeros(3)) for order in (1, 2)]  # velocity and acceleration at the ends
-    spline = make_interp_spline(time, position, k=SPLINE_DEGREE, bc_type=(still, still))
-    powers = range(SPLINE_DEGREE + 1)
-    pieces = [spline(time[:-1], nu=power) / factorial(power) for power in powers]
-    return PiecewisePolynomial(breaks=time, coefficients=np.stack(pieces, axis=1))
+@lru_cache(maxsize=8)
+def _table(file: Path, digest: str) -> PathTable | None:
+    """Read a table once per file and content; None for a recording."""
+    return read_path(file) if file.suffix.lower() == ".csv" else None

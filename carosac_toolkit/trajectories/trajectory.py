@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,22 @@ class TrajectorySamples:
     velocity: Array
     acceleration: Array
     jerk: Array
+
+
+class Leaving(NamedTuple):
+    """Where a trajectory leaves a workspace box most on one axis.
+
+    Attributes:
+        time: [s].
+        field: Trajectory, axis and time in words.
+        value: The coordinate with its unit.
+        allowed: The box on this axis.
+    """
+
+    time: float
+    field: str
+    value: str
+    allowed: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +149,13 @@ class Trajectory:
         Raises:
             InvalidField: It leaves the box; names the axis, the place and the time.
         """
+        leaving = self.leaving(robot)
+        if leaving is not None:
+            raise InvalidField(leaving.field, leaving.value, leaving.allowed)
+        return self
+
+    def leaving(self, robot: Robot) -> Leaving | None:
+        """Return where the trajectory leaves the robot's workspace box, or None if it does not."""
         lower, upper = bounds(self.curve)
         low, high = robot.workspace_min, robot.workspace_max
         for axis, name in enumerate("xyz"):
@@ -140,10 +164,12 @@ class Trajectory:
                 (upper[axis], upper[axis][0] > high[axis] + BOX_MARGIN_M),
             ):
                 if out:
-                    where = f"{self.name}: {name} at {when * self.time_scale:.3f} s"
+                    time = when * self.time_scale
                     allowed = f"{low[axis]:g} m to {high[axis]:g} m, the box of {robot.name!r}"
-                    raise InvalidField(where, f"{value:.4f} m", allowed)
-        return self
+                    return Leaving(
+                        time, f"{self.name}: {name} at {time:.3f} s", f"{value:.4f} m", allowed
+                    )
+        return None
 
 
 def bounds(curve: Curve) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:

@@ -15,12 +15,19 @@ from carosac_toolkit.loop.plugins import load
         (["robots", "--seed=1.5"], "--seed: got '1.5'; allowed: a whole number"),
         (["validate", "x", "--stop", "y"], "--stop: got 'y'; allowed: a whole number"),
         (["robots", "--json"], "--json: got nothing; allowed: a value; see 'carosac robots"),
+        (["run", "--set", "controller.kinematic_solver.gian=1", "--controller", "kinematic_solver"],
+         "--set controller.kinematic_solver.gian: got 1; allowed: one of ['delay', 'distribution', "
+         "'gain', 'period']; did you mean 'gain'?"),
         (["check"], "ROBOT: got nothing; allowed: a robot, as ROBOT or --robot ROBOT"),
         (["check", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot; "
          "the argument is 'scampi'"),
         (["view", "scampi", "--robot", "carosac"], "--robot: got 'carosac'; allowed: one robot"),
         (["view"], "WHAT: got nothing; allowed: a robot, a recording or a study's folder"),
         (["check", "a", "b"], "argument: got 'b'; allowed: nothing more"),
+        (["compare", "mine.yaml"], "argument: got 'mine.yaml'; allowed: nothing more; did you mean "
+         "'--robot mine.yaml'?"),
+        (["compare", "scampi"], "did you mean '--robot scampi'?"),
+        (["completion"], "SHELL: got nothing; allowed: one of bash, zsh, fish; see 'carosac "),
         (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed, "
          "--copy; did you mean '--seed'?"),
         (["check", "x", "--robts", "y"], "option: got '--robts'; allowed: --help, --json, --seed, "

@@ -7,6 +7,7 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures import animation
+from carosac_toolkit.robot import file as robot_file
 from carosac_toolkit.studies import read_rows
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
@@ -295,24 +296,24 @@ def test_a_controller_that_is_left_out_is_told(capsys):
         (["--estimators", "kinematic_solvr"], "did you mean 'kinematic_solver'"),
         (["--estimator", "json:loads"], "a class with build("),
         (["--set", "gain=1"], "--set: got 'gain=1'; allowed: controller.NAME.FIELD=VALUE"),
-        (["--set", "controller.mpc.gain=1"], "controller_settings of mpc: got 'gain'"),
+        (["--set", "controller.mpc.gain=1"], "carosac: --set controller.mpc: got 'gain'"),
         (["--set", "controller.slow.gain=1"], "with a NAME of ['straight_line', 'kinematic"),
         (["--set", "controller.kinematic_solver.gian=1"], "did you mean 'gain'"),
         (["--set", "controller.kinematic_solver.gain=-1"], "gain: got -1 1/s"),
         (
             ["--set", "driver.sensors.encoder_bais=0"],
-            "sensors.encoder_bais: got 0; allowed: one of",
+            "--set driver.sensors.encoder_bais: got 0; allowed: one of",
         ),
-        (["--set", "driver.suite=lengths"], "driver_settings.suite: got 'lengths'; allowed: none"),
+        (["--set", "driver.suite=lengths"], "--set driver.suite: got 'lengths'; allowed: none"),
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
-        (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
+        (["--baseline", "nobody"], "--baseline: got 'nobody'; allowed: one of ['straight_line'"),
         (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
         (["--estimators", "truthh"], "did you mean 'truth'?"),
-        (["--sensors", "lenghts"], "sensors: got 'lenghts'"),
+        (["--sensors", "lenghts"], "--sensors: got 'lenghts'"),
         (["--sensors", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-3"], "did you mean 'nominal-"),
-        (["--conditions", "nominal-3"], "condition: got 'nominal-3'"),
+        (["--conditions", "nominal-3"], "--conditions: got 'nominal-3'"),
         (["--robot", "carosak"], "did you mean 'carosac'"),
         (["--robots", "missing.yaml"], "missing.yaml: no such file"),
         (["--driver", "quasistatic"], "did you mean 'quasi_static'"),
@@ -320,17 +321,24 @@ def test_a_controller_that_is_left_out_is_told(capsys):
         (["--seeds", "0"], "--seeds: got 0; allowed: 1 or more"),
         (["--seeds", "many"], "a whole number"),
         (["--seed", "-1"], "--seed: got -1"),
-        (["--speed", "0"], "speed_max: got 0.0 m/s"),
-        (["--speed", "nan"], "speed_max: got nan m/s"),
-        (["--acceleration", "-2"], "acceleration_max: got -2.0"),
-        (["--timeout", "0"], "timeout: got 0.0 s"),
-        (["--workers", "-2"], "workers: got -2"),
-        (["--retry", "lost"], "retry: got 'lost'"),
-        (["--scheduler", "nowhere"], "scheduler: got 'nowhere'"),
+        (["--speed", "0"], "carosac: --speed: got 0.0 m/s; allowed: --speed > 0, finite"),
+        (["--speed", "nan"], "carosac: --speed: got nan m/s"),
+        (["--acceleration", "-2"], "carosac: --acceleration: got -2.0"),
+        (["--timeout", "0"], "carosac: --timeout: got 0.0 s"),
+        (["--workers", "-2"], "carosac: --workers: got -2"),
+        (["--retry", "lost"], "carosac: --retry: got 'lost'"),
+        (["--scheduler", "nowhere"], "carosac: --scheduler: got 'nowhere'"),
         (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "no number of workers"),
         (["--output", "a_file"], "--output: got 'a_file'; allowed: a folder"),
         (["--output", "a_file/below"], "a_file is a file"),
         (["--json", "no/such/x.json"], "--json: got"),
+        (
+            ["--controllers", "straight_line,mpc"],
+            "--controllers: got 'straight_line,mpc'; allowed: names with spaces between them: "
+            "--controllers straight_line mpc",
+        ),
+        (["--robot=carosak"], "carosac: --robot: got 'carosak'; allowed: one of"),
+        (["--controller", "nobody"], "carosac: --controller: got 'nobody'; allowed: one of"),
         (["--quik"], "did you mean '--quick'"),
         (["--animation", "mcp"], "--animation: got 'mcp'; allowed: of the study"),
     ],
@@ -383,9 +391,12 @@ def test_a_path_of_the_user_is_run_and_its_study_viewed_from_anywhere(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["high.csv"], "high.csv: z at 2.000 s: got 6.0000 m; allowed: 1 m to 5 m, the box of"),
+        (
+            ["high.csv"],
+            "high.csv: line 3, column 'position_z_m': got 6 m; allowed: 1 m to 5 m, the",
+        ),
         (["none.csv"], "none.csv: no such file; a trajectory is a .csv, or a recording"),
-        (["high.csv", "--speed", "2"], "speed_max: got 2.0 m/s; allowed: none: all trajectories"),
+        (["high.csv", "--speed", "2"], "--speed: got 2.0 m/s; allowed: none: all trajectories"),
         (["circel"], "or ./FOLDER with one; did you mean 'circle'?"),
     ],
 )
@@ -394,3 +405,64 @@ def test_bad_paths_are_refused_before_any_work(words, message, capsys):
     assert main(["compare", "--output", "out", "--trajectories", *words]) == 2
     assert message in capsys.readouterr().err
     assert names() == ["high.csv"]
+
+
+def write_path(file, rows):
+    """Write a path; rows of time [s] and of metres from a place in the box of `carosac`."""
+    lines = [f"{t},{x},{y - 0.8},{z + 2.5}" for t, x, y, z in rows]
+    file.write_text("\n".join(["time_s,position_x_m,position_y_m,position_z_m", *lines]) + "\n")
+    return str(file)
+
+
+def test_a_robot_goes_by_the_name_in_its_file(capsys):
+    text = (Path(robot_file.__file__).parent / "bundled" / "desktop.yaml").read_text()
+    slow = text.replace("speed_max: 1.5 m/s", "speed_max: 0.2 m/s")
+    Path("mine.yaml").write_text(slow.replace("name: desktop", "name: labrig"))
+    words = ["compare", "--robots", "mine.yaml", "desktop", *TWO, "--driver", "quasi_static"]
+    words += ["--trajectories", "line", "--estimators", "kinematic_solver", "--seeds", "1"]
+    assert main([*words, "--workers", "0", "--output", "o"]) != 2
+    out = " ".join(capsys.readouterr().out.split())
+    assert "labrig, desktop on driver quasi_static" in out
+    assert "WARNING: line is not feasible on labrig: " in out
+    report = Path("o/report.html").read_text()
+    before_settings = report.partition("<h2>Settings</h2>")[0]
+    assert "labrig, condition" in before_settings and "mine.yaml" not in before_settings
+    assert "mine.yaml" not in out.replace("carosac workspace mine.yaml", "")
+
+
+@pytest.mark.parametrize("driver", ["simulator", "quasi_static"])
+def test_a_robot_that_cannot_rest_is_refused_before_the_run(capsys, driver):
+    text = (Path(robot_file.__file__).parent / "bundled" / "desktop.yaml").read_text()
+    limits = "tension_limits: {min: 0.05 N, max: 10 N}"
+    assert limits in text
+    weak = text.replace(limits, "tension_limits: {min: 0.05 N, max: 0.3 N}")
+    Path("mine.yaml").write_text(weak.replace("name: desktop", "name: labrig"))
+    words = ["compare", "--robot", "mine.yaml", "--driver", driver, *ALONE]
+    assert main([*words, "--controllers", "straight_line"]) == 2
+    error = capsys.readouterr().err
+    assert "robot: got 'labrig'; allowed: a robot that can rest at home, (0, 0, 0.25) m" in error
+    assert "no tensions within the limits found; carosac check mine.yaml says more" in error
+    assert not Path("carosac-results").exists()
+
+
+def test_a_path_that_bends_away_from_its_rows_is_told_before_the_run(tmp_path, capsys):
+    path = write_path(tmp_path / "turned.csv", [(0, 0.5, 0, 0), (4, 0, 0.5, 0), (8, -0.5, 0, 0)])
+    words = ["compare", *TWO, "--estimators", "kinematic_solver", "--seeds", "1", "--workers", "0"]
+    assert main([*words, "--trajectories", path, "--output", str(tmp_path / "o")]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "NOTE: turned.csv: between lines " in text and "m from the straight line" in text
+
+
+def test_a_trajectory_that_looks_like_a_file_is_missed_as_a_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_path(Path("path.csv"), [(0, 0, 0, 0), (4, 0.5, 0, 0)])
+    Path("path.txt").write_text("x")
+    for name, message in (
+        ("path.cvs", "path.cvs: no such file; a trajectory is a file with suffix .parquet"),
+        ("./pth.csv", "pth.csv: no such file; a trajectory is a .csv, or a recording or"),
+        ("path.txt", "path.txt: 1 fault suffix: got '.txt'; allowed: .parquet, .csv"),
+    ):
+        assert main(["compare", *TWO, "--trajectories", name]) == 2
+        text = " ".join(capsys.readouterr().err.split())
+        assert message in text
+        assert name == "path.txt" or "did you mean 'path.csv'?" in text

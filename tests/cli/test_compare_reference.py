@@ -95,7 +95,7 @@ def test_published_rows_are_read_before_anything_runs(small_suite, capsys):
         (["--seeds", "3"], "--seeds: got 3"),
         (["--trajectories", "line"], "--trajectories: got ('line',)"),
         (["--set", "driver.cables=straight"], "none with --suite, which fixes it"),
-        (["--controllers", "nobody"], "controller: got 'nobody'"),
+        (["--controllers", "nobody"], "--controllers: got 'nobody'"),
     ],
 )
 def test_what_the_suite_fixes_cannot_be_changed(words, message, capsys):

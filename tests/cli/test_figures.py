@@ -122,6 +122,15 @@ def test_the_style_of_papers_has_serif_letters_in_all_formats(folders, tmp_path,
     assert {path.suffix for path in out.glob("[!.]*")} == {".png", ".svg", ".pdf"}
 
 
+def test_without_a_folder_the_figures_that_need_one_are_named(tmp_path, capsys):
+    assert main(["figures", "--style", "paper", "--output", str(tmp_path / "f")]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert (
+        "1 figure in" in out and "No folder with results was given: carosac figures FOLDER" in out
+    )
+    assert "carosac compare for commanded_length_error, rmse_gaussians, error_over_time" in out
+
+
 def test_one_line_names_the_commands_that_make_what_is_missing(tmp_path, capsys):
     study_in(tmp_path / "a", ["straight_line"])
     numbers = tmp_path / "x.json"

@@ -211,7 +211,7 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
         (["train", "--seeds", "2", "--set", "sag.td3.rate_end=2"], "rate_end: got 2"),
         (["train", "--seeds", "2", "--stage", "sag"], "--stage: got"),
         (["evaluate", "nothing.onnx"], "nothing.onnx: no such file"),
-        (["evaluate", "carosak"], "policy: got 'carosak'"),
+        (["evaluate", "carosak"], "POLICY: got 'carosak'"),
     ],
 )
 def test_wrong_input_is_said(words, message, capsys, tmp_path, monkeypatch):

@@ -214,7 +214,7 @@ def make_files(short):
     [
         (["missing.csv"], "missing.csv: no such file"),
         (["synthetik"], "did you mean 'synthetic'"),
-        (["nothing"], "recording: got 'nothing'; allowed: one of ['synthetic']"),
+        (["nothing"], "RECORDING: got 'nothing'; allowed: one of ['synthetic']"),
         (["notes.txt"], "suffix"),
         (["folder.csv"], "this is a folder"),
         (["nan.csv"], "nan; allowed: a finite number"),

@@ -5,7 +5,6 @@ import pytest
 from matplotlib.colors import to_hex
 
 from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
-from carosac_toolkit.pictures.groups import robot_names
 from carosac_toolkit.pictures.paired import draw_paired
 from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
 from carosac_toolkit.reports.study import write_report
@@ -159,7 +158,7 @@ def test_the_title_promises_intervals_only_where_there_are_any(seeds, said):
     rows = [good(case(name, seed), (scale * (1 + 0.1 * seed),) * 3)
             for name, scale in SCALES.items() for seed in range(seeds)]  # fmt: skip
     results = study(rows)
-    figure = draw_paired(paired_blocks(results), robot_names(results))
+    figure = draw_paired(paired_blocks(results))
     assert said in figure.get_suptitle()
     intervals = [line for axes in figure.axes for line in axes.lines if line.get_linewidth() == 1.6]
     assert bool(intervals) == (said == "95 % interval")

@@ -6,7 +6,6 @@ import pytest
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
 from carosac_toolkit.pictures.drawing import new_figure
-from carosac_toolkit.pictures.groups import robot_names
 from carosac_toolkit.pictures.paired import draw_paired
 from carosac_toolkit.pictures.paper import draw_gaussians
 from carosac_toolkit.pictures.robot import draw_robot
@@ -47,7 +46,7 @@ def figures(request):
     validation = validate(perfect(0.03), ROBOT, ["straight_line", "kinematic_solver"])
     with using_style(request.param):
         drawn = {name: draw(RESULTS) for name, draw in COMPARISON_PICTURES.items()}
-        drawn["paired"] = draw_paired(paired_blocks(RESULTS), robot_names(RESULTS))
+        drawn["paired"] = draw_paired(paired_blocks(RESULTS))
         drawn["gaussians"] = draw_gaussians(RESULTS)
         drawn |= {f"validation {k}": draw(validation) for k, draw in VALIDATION_PICTURES.items()}
         for name in ("carosac", "stadium", "cogiro"):

@@ -13,7 +13,12 @@ from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.files import load_recording
 from carosac_toolkit.studies.compare.feasibility import slowest_stop
 from carosac_toolkit.trajectories import build, from_file
-from carosac_toolkit.trajectories.path_file import PATH_COLUMNS, is_path_file, path_digest
+from carosac_toolkit.trajectories.path_file import (
+    departure_from_rows,
+    is_path_file,
+    path_digest,
+)
+from carosac_toolkit.trajectories.path_table import PATH_COLUMNS
 from tests.robots import hanging
 
 ROBOT = load_robot("carosac")
@@ -95,6 +100,8 @@ def test_lengths_alone_give_the_path_of_the_equilibria(tmp_path):
          "line 3, column 'position_z_m': got 'high'; allowed: a number"),
         (f"{HEADER}\n0,0,0,2\n2,0,0,2\n2,0,0,2.1\n",
          "line 4, column 'time_s': got 2 after 2; allowed: rising times"),
+        ("0,0,0,2\n1,0,0,2\n", "the first line must name the columns: got '0,0,0,2'; allowed: "
+         "time_s,position_x_m,position_y_m,position_z_m for a path, time_s,cable_length_1_m"),
         (HEADER.replace(",", ";") + "\n0;0;0;2\n", "is the separator ';'?"),
     ],
 )  # fmt: skip
@@ -108,8 +115,32 @@ def test_a_bad_table_is_one_message(tmp_path, text, message):
 def test_a_path_that_leaves_the_box_is_refused_with_place_and_time(tmp_path):
     high = ROBOT.home_position + np.array([[0, 0, 0], [0, 0, 9.0], [0, 0, 0]])
     name = write(tmp_path / "high.csv", [0.0, 2.0, 4.0], high)
-    with pytest.raises(InvalidField, match=r"high.csv: z at 2.000 s: got .* the box of 'carosac'"):
+    expected = r"high.csv: line 3, column 'position_z_m': got 11.* m; .* the box of 'carosac'$"
+    with pytest.raises(InvalidField, match=expected):
         from_file(name, ROBOT)
+    low, top = ROBOT.workspace_min, ROBOT.workspace_max
+    round_trip = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]) * (top - low)[:2] + low[:2]
+    time = np.linspace(0.0, 8.0, 41)  # dense rows at the edge of the box, which a spline leaves
+    edge = np.column_stack([np.interp(time, np.arange(0.0, 9.0, 2.0), x) for x in round_trip.T])
+    name = write(tmp_path / "edge.csv", time, np.column_stack([edge, np.full(41, low[2])]))
+    with pytest.raises(InvalidField, match=r"edge.csv: x at .* s, between lines \d+ and \d+: got"):
+        from_file(name, ROBOT)
+
+
+def test_positions_in_millimetres_are_asked_about_with_their_row(tmp_path):
+    rows = 1e3 * (ROBOT.home_position + np.array([[0, 0, 0], [0.1, 0, 0]]))
+    name = write(tmp_path / "mm.csv", [0.0, 2.0], rows)
+    with pytest.raises(InvalidField, match=r"mm.csv: line 2, column .* are the positions in mm\?"):
+        from_file(name, ROBOT)
+
+
+def test_a_path_that_curves_between_rows_is_told_and_a_straight_one_is_not(tmp_path):
+    corners = ROBOT.home_position + np.array([[0.5, 0, 0], [0, 0.5, 0], [-0.5, 0, 0]])
+    text = departure_from_rows(write(tmp_path / "turned.csv", [0.0, 2.0, 4.0], corners))
+    assert text.startswith("turned.csv: between lines ") and "% of the size" in text
+    straight = ROBOT.home_position + np.array([[0.5, 0, 0], [0, 0, 0], [-0.5, 0, 0]])
+    assert departure_from_rows(write(tmp_path / "line.csv", [0.0, 2.0, 3.0], straight)) is None
+    assert departure_from_rows("circle") is None and departure_from_rows("synthetic") is None
 
 
 def test_files_are_told_from_names_and_by_their_content(tmp_path):

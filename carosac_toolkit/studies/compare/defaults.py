@@ -69,7 +69,7 @@ def default_controllers(
         if reason is None:
             kept.append(name)
         else:
-            left_out.append(f"{name} is left out. {reason}")
+            left_out.append(reason)
     return tuple(kept), tuple(left_out)
 
 
@@ -84,7 +84,12 @@ def default_estimation(driver: object) -> tuple[DefaultChoice, tuple[str, ...]]:
         for name in usual.estimators:
             plugins.load("estimators", name)
     except MissingExtra as error:
-        return ON_OTHER_DRIVERS, (f"{name} is left out. {error}",)
+        other = ON_OTHER_DRIVERS
+        text = (
+            f"Left out: {error}. Instead the default estimator is {other.estimators[0]}, and the "
+            f"default sensors are {other.sensors[0]}."
+        )
+        return other, (text,)
     return usual, ()
 
 
@@ -105,14 +110,14 @@ def _is_simulator(driver: object) -> bool:
 
 
 def _refusal(name: str, robots: Sequence[Robot]) -> str | None:
-    """Return why a controller cannot be used for all robots here, or None if it can."""
+    """Say why a controller is left out for these robots, or None if all can use it."""
     try:
         controller = plugins.load("controllers", name)
     except MissingExtra as error:
-        return str(error)
+        return f"Left out: {error}"
     try:
         for robot in robots if hasattr(controller, "check_robot") else []:
             controller.check_robot(robot)
     except CarosacError as error:
-        return str(error)
+        return f"{name} is left out. {error}"
     return None

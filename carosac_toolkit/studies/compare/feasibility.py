@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.protocols import replays
@@ -30,7 +30,8 @@ from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_of
+from carosac_toolkit.studies.run.run_case import digest_of, path_of, robot_digest, robot_of
+from carosac_toolkit.trajectories.path_file import is_path_file
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 PATH_SAMPLES = 160  # of one path
@@ -38,6 +39,7 @@ PATHS_MAX = 3  # seeds of each kind of path that are judged: they differ little
 CABLES_MIN = 3  # with fewer the platform rests on a surface only, which a path need not lie on
 MARGIN_TOLERANCE_RATIO = 0.02  # of the weight per cable: what straight cables may be wrong by
 WINCH_TOLERANCE_RATIO = 1e-3  # of a winch limit: differences of lengths are not exact
+STRETCH_STEPS = 1000  # of a factor of all times, which is rounded up
 BISECTIONS = 10  # of the square of the time scale: 0.1 % of it
 
 
@@ -47,6 +49,7 @@ class PathFeasibility:
 
     Attributes:
         robot: Name or path of the robot, as in the study.
+        robot_name: Its own name.
         trajectory: Kind of path.
         paths: Number of different paths judged.
         infeasible: Number of those that are not feasible.
@@ -58,6 +61,7 @@ class PathFeasibility:
     """
 
     robot: str
+    robot_name: str
     trajectory: str
     paths: int
     infeasible: int
@@ -69,13 +73,22 @@ class PathFeasibility:
     def sentence(self) -> str:
         """Say in words what is not feasible, why, and how fast it would be."""
         part = f" ({self.infeasible} of the first {self.paths} paths)" if self.paths > 1 else ""
-        text = f"{self.trajectory}{part} is not feasible on {self.robot}: {self.reason}."
+        text = f"{self.trajectory}{part} is not feasible on {self.robot_name}: {self.reason}."
         if self.time_scale is None:
             return f"{text} At no speed: the robot cannot even rest there."
+        platform = (
+            f"{self.time_scale * self.speed:.3g} m/s and "
+            f"{self.time_scale**2 * self.acceleration:.3g} m/s^2"
+        )
+        if is_path_file(self.trajectory):
+            stretch = np.ceil(STRETCH_STEPS / self.time_scale) / STRETCH_STEPS
+            return (
+                f"{text} Feasible with all times in the file multiplied by {stretch:g} or more; "
+                f"the platform then reaches {platform}."
+            )
         return (
-            f"{text} Feasible up to {self.time_scale * self.speed:.3g} m/s with "
-            f"{self.time_scale**2 * self.acceleration:.3g} m/s^2, {100 * self.time_scale:.0f} % of "
-            "the speed of this study."
+            f"{text} Feasible up to {100 * self.time_scale:.0f} % of the speed of this study, at "
+            f"which the platform reaches {platform}."
         )
 
     def data(self) -> dict[str, Any]:
@@ -96,12 +109,16 @@ def path_feasibility(cases: Sequence[Case]) -> list[PathFeasibility]:
     Args:
         cases: Cases of the study; on a driver that replays, and for robots of fewer than three
             cables, nothing is judged.
+
+    Raises:
+        InvalidField: A robot that can rest neither at home nor where any of its paths begins.
     """
     groups: dict[tuple[str, str], dict[int, Case]] = {}
     for case in cases:
         if not replays(plugins.load("drivers", str(case.settings.get("driver", "simulator")))):
             groups.setdefault((case.robot, case.trajectory), {})[case.seed] = case
     judged = []
+    starts: dict[str, list[Array]] = {}
     for (name, kind), by_seed in groups.items():
         robot = robot_of(name, digest_of(next(iter(by_seed.values()))))
         paths = []
@@ -110,9 +127,30 @@ def path_feasibility(cases: Sequence[Case]) -> list[PathFeasibility]:
                 paths.append(path_of(case, robot))
             except CarosacError:  # the case fails with this error as its reason
                 continue
+        starts.setdefault(name, []).extend(path.sample([0.0]).position for path in paths)
         if robot.n >= CABLES_MIN and paths:
             judged.append(_judge(name, kind, robot, paths))
+    for name, places in starts.items():
+        if places:
+            _check_rest(name, robot_of(name, robot_digest(name)), np.concatenate(places))
     return judged
+
+
+def _check_rest(name: str, robot: Robot, starts: Array) -> None:
+    """Refuse a robot that can rest neither at home nor at any of the starts (K, 3).
+
+    Raises:
+        InvalidField: It cannot; says why.
+    """
+    places = np.concatenate([robot.home_position[None], starts])
+    rest = statics.inverse_kinematics(robot, places)
+    if not rest.converged.any():
+        x, y, z = robot.home_position
+        allowed = (
+            f"a robot that can rest at home, ({x:g}, {y:g}, {z:g}) m, or where a path begins: "
+            f"{statics.STATUS_REASONS[rest.status[0]]}; carosac check {name} says more"
+        )
+        raise InvalidField("robot", repr(robot.name), allowed)
 
 
 def _judge(name: str, kind: str, robot: Robot, paths: list[Trajectory]) -> PathFeasibility:
@@ -122,8 +160,9 @@ def _judge(name: str, kind: str, robot: Robot, paths: list[Trajectory]) -> PathF
     stops = [stop for path in different.values() if (stop := slowest_stop(robot, path)).scale < 1.0]
     worst = min(stops, key=lambda stop: stop.scale, default=_Stop(1.0, ""))
     return PathFeasibility(
-        robot=name, trajectory=kind, paths=len(different), infeasible=len(stops),
-        reason=worst.reason, time_scale=worst.scale if worst.scale > 0.0 else None,
+        robot=name, robot_name=robot.name, trajectory=kind, paths=len(different),
+        infeasible=len(stops), reason=worst.reason,
+        time_scale=worst.scale if worst.scale > 0.0 else None,
         speed=max(path.peak_speed for path in different.values()),
         acceleration=max(path.peak_acceleration for path in different.values()),
     )  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import counted
+from carosac_toolkit.studies.compare.names import robot_names
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
 from carosac_toolkit.studies.compare.results import (
@@ -68,9 +69,9 @@ def blocks_of(results: StudyResults) -> list[tuple[str, list[int]]]:
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
-    several = len(blocks) > 1
+    several, names = len(blocks) > 1, robot_names(results)
     return [
-        (f"On {robot}, condition {condition}: " if several else "", members)
+        (f"On {names[robot]}, condition {condition}: " if several else "", members)
         for (robot, condition), members in list(blocks.items())[:BLOCKS_MAX]
     ]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.studies.compare.names import robot_names
 from carosac_toolkit.studies.compare.pairs import IntervalEstimate, Pair, compare, typical_of
 from carosac_toolkit.studies.compare.resampling import holm
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults, labels_by
@@ -67,7 +68,8 @@ class PairedBlock:
     """Comparisons on one robot and in one condition.
 
     Attributes:
-        robot: Its name.
+        robot: Its name or path in the rows.
+        robot_name: Its own name.
         perturbation: The condition that its plants are drawn from.
         baseline: Label of what the others are compared with.
         seeds: Independent draws.
@@ -76,6 +78,7 @@ class PairedBlock:
     """
 
     robot: str
+    robot_name: str
     perturbation: str
     baseline: str
     seeds: int
@@ -159,6 +162,7 @@ def _block(
     first = rows[base]
     return PairedBlock(
         robot=str(first[0]["robot"]),
+        robot_name=robot_names(results)[str(first[0]["robot"])],
         perturbation=str(first[0]["perturbation"]),
         baseline=labels[base],
         seeds=len({row["seed"] for row in first}),

@@ -16,7 +16,6 @@ from carosac_toolkit.studies.compare.resampling import (
     smallest_p,
 )
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS
-from carosac_toolkit.studies.compare.terminal_table import short_name
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 
 QUANTITY_TITLES = {
@@ -228,7 +227,7 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
 def _where(block: PairedBlock) -> str:
     """Name the robot and condition of a table."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
-    return f"{short_name(block.robot)}, condition {block.perturbation}, {draws}"
+    return f"{block.robot_name}, condition {block.perturbation}, {draws}"
 
 
 def _names(block: PairedBlock) -> list[str]:

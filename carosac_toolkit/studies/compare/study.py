@@ -50,7 +50,7 @@ from carosac_toolkit.studies.run.run_case import (
     robot_of,
 )
 from carosac_toolkit.trajectories.catalogue import default_limits
-from carosac_toolkit.trajectories.path_file import is_path_file, path_digest
+from carosac_toolkit.trajectories.path_file import check_suffix, is_path_file, path_digest
 
 CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
 GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
@@ -360,6 +360,8 @@ def _check_trajectories(study: Study, *, replayed: bool) -> None:
     names = trajectories.TRAJECTORY_NAMES
     files = [] if replayed else [name for name in study.trajectories if is_path_file(name)]
     drawn = [name for name in study.trajectories if name not in files]
+    for name in drawn:
+        check_suffix(name)
     check_known(
         "trajectory", drawn, (RECORDED_TRAJECTORY, *names) if replayed else names,
         more="" if replayed else ", or a file: .csv, a recording, or ./FOLDER with one",

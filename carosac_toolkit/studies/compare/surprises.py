@@ -8,13 +8,14 @@ from typing import Any
 
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.studies.compare.estimator_limits import estimator_limits
+from carosac_toolkit.studies.compare.names import named_labels, robot_names, short_name
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
     PAIR_COLUMNS,
     StudyResults,
     scored,
 )
-from carosac_toolkit.studies.compare.terminal_table import main_limit, percent, short_name
+from carosac_toolkit.studies.compare.terminal_table import main_limit, percent
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.trajectories.path_file import is_path_file
 
@@ -85,7 +86,7 @@ def grave_surprises(results: StudyResults) -> list[str]:
 
 def _labels(results: StudyResults) -> list[str]:
     """Return short labels of the groups."""
-    return [" / ".join(map(short_name, label.split(" / "))) for label in results.labels]
+    return [" / ".join(map(short_name, label.split(" / "))) for label in named_labels(results)]
 
 
 def _lines(
@@ -224,10 +225,11 @@ def _moved(results: StudyResults) -> Iterator[str]:
     for row in results.rows:
         name, moved = str(row["robot"]), float(row.get("path_moved_m") or 0.0)
         most[name] = max(most.get(name, 0.0), moved)
+    names = robot_names(results)
     for name, moved in most.items():
         if moved > 0.0:
             yield (
-                f"Paths were moved onto positions at which {short_name(name)} can rest, by up to "
+                f"Paths were moved onto positions at which {names[name]} can rest, by up to "
                 f"{plain(moved, 3)} m; errors count from there."
             )
 

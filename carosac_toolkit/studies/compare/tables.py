@@ -7,6 +7,7 @@ from typing import Any
 
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import Rows, counted
+from carosac_toolkit.studies.compare.names import named_labels, robot_names
 from carosac_toolkit.studies.compare.results import AXIS_NAMES, COLUMN_TITLES, StudyResults
 from carosac_toolkit.studies.compare.terminal_table import (
     cases,
@@ -53,9 +54,11 @@ def units(results: StudyResults) -> str:
 
 def rows(results: StudyResults) -> Rows:
     """Return one row per group."""
+    own = robot_names(results)
+    lines = [{**line, "robot": own[str(line["robot"])]} for line in results.summary]
     return [
         (*(str(line[name]) for name in _names(results)), *_cells(line), *more)
-        for line, more in zip(results.summary, _consistency_cells(results), strict=True)
+        for line, more in zip(lines, _consistency_cells(results), strict=True)
     ]
 
 
@@ -70,7 +73,7 @@ def failures(results: StudyResults) -> list[str]:
     Cases that diverged are a matter of `surprises`.
     """
     lines = []
-    for label, line in zip(results.labels, results.summary, strict=True):
+    for label, line in zip(named_labels(results), results.summary, strict=True):
         failed = line["failures"] - line["diverged"]
         if not failed:
             continue

@@ -7,12 +7,11 @@ report has; names are never cut.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import aligned, wrapped
-from carosac_toolkit.recordings.files import READERS_BY_SUFFIX
+from carosac_toolkit.studies.compare.names import robot_names, short_name
 from carosac_toolkit.studies.compare.results import COLUMN_TITLES, GROUP_COLUMNS, StudyResults
 from carosac_toolkit.studies.run.rows import CASE_STATUSES
 
@@ -111,16 +110,11 @@ def remarks(results: StudyResults) -> list[str]:
 def _short(name: str, results: StudyResults) -> list[str]:
     """Return the names of all rows; of a path or ``module:Class`` the end if that tells apart."""
     whole = [str(line[name]) for line in results.summary]
+    if name == "robot":
+        own = robot_names(results)
+        return [own[text] for text in whole]
     ends = {text: short_name(text) for text in whole}
     return [ends[text] for text in whole] if len(set(ends.values())) == len(ends) else whole
-
-
-def short_name(text: str) -> str:
-    """Return the stem of a file, the class of ``module:Class``, or the name itself."""
-    path = Path(text)
-    if path.suffix.lower() in (".yaml", ".yml", *READERS_BY_SUFFIX) or "/" in text:
-        return path.stem
-    return text.rpartition(":")[2] or text
 
 
 def _fitting(results: StudyResults, width: int) -> list[_Column]:

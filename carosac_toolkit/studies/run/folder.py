@@ -26,7 +26,16 @@ from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row, in_common_colum
 MANIFEST_FILE = "study.json"
 STUDY_SCHEMA = "carosac-study/1"
 SMALL_PARTS_MAX = 100  # small parts
+NAMES_SHOWN = 3  # of those that differ in one way
+VALUE_SHOWN = 40  # characters of a value in a message
 _AXES = (*CASE_COLUMNS, "seed")
+_AXIS_WORDS = {
+    "sensors": "sensors", "trajectory": "trajectories", "perturbation": "conditions",
+}  # fmt: skip
+_DIGEST_WORDS = {
+    "robot_digest": "file of the robot", "condition_digest": "file of the condition",
+    "trajectory_digest": "file of the trajectory",
+}  # fmt: skip
 _ENTRY_KINDS = [str, *(str for _ in CASE_COLUMNS), int, int]  # identity, axes, seed, settings
 
 
@@ -195,13 +204,12 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
         held = _read_manifest(path)
         for key in ("toolkit", "function"):
             if held[key] != asked[key]:
-                raise _conflict(path, f"{key} {held[key]}", f"{key} {asked[key]}")
+                raise _conflict(path, _compared(key, held[key], asked[key]))
         missing = [x for x in held["cases"] if x[0] not in {y[0] for y in asked["cases"]}]
         if missing:
             with _refusing(file):
-                there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
-                differing = _differing(_settings(held, missing), _settings(asked, asked["cases"]))
-            raise _conflict(path, there, _axes(asked, asked["cases"]) + differing)
+                differing = _differing(held, missing, asked)
+            raise _conflict(path, differing)
         if held["cases"] == asked["cases"]:
             return
     with replacing(file) as temporary:
@@ -292,24 +300,20 @@ def _shown(value: Any) -> str:
     return type(value).__name__ if isinstance(value, list | dict) else repr(value)[:80]
 
 
-def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
+def _conflict(path: Path, differing: str) -> StudyConflict:
     """Return the error of a folder that holds something else."""
     return StudyConflict(
-        f"{path} holds another study: it has {held}; asked for is {asked}. "
-        "Use another folder, or remove this one"
+        f"{path} holds another study: {differing}. Use another folder, or remove this one"
     )
 
 
-def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
-    """Summarise the axes of some cases of a study."""
-    text = []
-    for i, name in enumerate(_AXES, start=1):
-        values = list(dict.fromkeys(str(entry[i]) for entry in entries))
-        more = f" and {len(values) - 3} more" if len(values) > 3 else ""
-        text.append(f"{name} {', '.join(values[:3])}{more}")
-    settings = {canonical(manifest["settings"][entry[-1]]) for entry in entries}
-    shown = min(settings) if len(settings) == 1 else f"{len(settings)} different"
-    return f"{len(entries)} cases with " + "; ".join([*text, f"settings {shown[:200]}"])
+def _compared(name: str, held: str, asked: str) -> str:
+    """Tell two values apart; long ones are cut."""
+    there, here = (
+        f"{value[:VALUE_SHOWN]}..." if len(value) > VALUE_SHOWN else value
+        for value in (held, asked)
+    )
+    return f"{name}: {there} there, {here} here"
 
 
 def _settings(manifest: dict[str, Any], entries: list[list[Any]]) -> set[tuple[str, str]]:
@@ -326,13 +330,25 @@ def _settings(manifest: dict[str, Any], entries: list[list[Any]]) -> set[tuple[s
     return {leaf for index in used for leaf in leaves(manifest["settings"][index])}
 
 
-def _differing(held: set[tuple[str, str]], asked: set[tuple[str, str]]) -> str:
-    """Name the settings that differ, with both values."""
+def _differing(held: dict[str, Any], missing: list[list[Any]], asked: dict[str, Any]) -> str:
+    """Name what cases of the held study have and the request has not: names and settings."""
     texts = []
-    for name in sorted({name for name, _ in held ^ asked}):
+    for i, axis in enumerate(_AXES, start=1):
+        here = {entry[i] for entry in asked["cases"]}
+        gone = [str(x) for x in dict.fromkeys(entry[i] for entry in missing) if x not in here]
+        more = f" and {len(gone) - NAMES_SHOWN} more" if len(gone) > NAMES_SHOWN else ""
+        verb = "is" if len(gone) == 1 else "are"
+        if gone:
+            names = f"{', '.join(gone[:NAMES_SHOWN])}{more}"
+            texts.append(f"{_AXIS_WORDS.get(axis, f'{axis}s')}: {names} {verb} missing here")
+    there, here = _settings(held, missing), _settings(asked, asked["cases"])
+    for name in sorted({name for name, _ in there - here}):
         values = [
             " or ".join(sorted(value for other, value in side if other == name)) or "none"
-            for side in (held, asked)
+            for side in (there, here)
         ]
-        texts.append(f"{name} (held {values[0]}, asked {values[1]})")
-    return f"; differing settings: {', '.join(texts)}" if texts else ""
+        if name in _DIGEST_WORDS:
+            texts.append(f"the {_DIGEST_WORDS[name]} has changed")
+        else:
+            texts.append(_compared(name, *values))
+    return "; ".join(texts) or f"{len(missing)} of its cases are missing here"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -60,5 +61,21 @@ def test_where_the_robot_cannot_rest_no_speed_is_feasible():
     study = Study(trajectories=("waypoints",), seeds=1, speed_max=6.0, acceleration_max=8.0)
     (one,) = path_feasibility(study.cases())
     assert one.sentence().startswith("waypoints is not feasible on carosac: the winch of cable")
-    assert f"{100 * one.time_scale:.0f} % of the speed of this study" in one.sentence()
+    share = f"Feasible up to {100 * one.time_scale:.0f} % of the speed of this study"
+    assert f"{share}, at which the platform reaches " in one.sentence()
     assert "cannot even rest" in replace(one, time_scale=None).sentence()
+
+
+def test_the_factor_of_the_times_in_a_file_makes_its_path_feasible(tmp_path):
+    def judged(factor):
+        rows = [f"{factor * t},{x},-0.8,2.5" for t, x in ((0, -0.5), (0.4, 0.0), (0.8, 0.5))]
+        file = tmp_path / f"{factor}.csv"
+        header = "time_s,position_x_m,position_y_m,position_z_m"
+        file.write_text("\n".join([header, *rows]) + "\n")
+        return path_feasibility(Study(trajectories=(str(file),), seeds=1).cases())[0]
+
+    one = judged(1.0)
+    assert one.infeasible and "of this study" not in one.sentence()
+    factor = re.search(r"all times in the file multiplied by (\S+) or more", one.sentence())[1]
+    assert judged(float(factor)).infeasible == 0
+    assert judged(0.97 * float(factor)).infeasible == 1

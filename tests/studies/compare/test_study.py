@@ -6,11 +6,12 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import read_rows
 from carosac_toolkit.studies.compare import defaults
 from carosac_toolkit.studies.compare import study as study_module
-from carosac_toolkit.studies.compare.defaults import default_controllers
+from carosac_toolkit.studies.compare.defaults import default_controllers, default_estimation
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import failures, header
 from carosac_toolkit.studies.compare.terminal_table import terminal_table
@@ -202,6 +203,22 @@ def test_the_learned_policy_is_left_out_where_none_was_trained_for_the_robot(tmp
         )
         with pytest.warns(UserWarning, match="td3 is left out"):
             assert ct.Study(robots=[robot]).controllers == kept
+
+
+def test_without_its_extra_the_default_estimator_and_sensors_are_told(monkeypatch):
+    error = MissingExtra("estimator 'dynamic_estimator'", [], ["control"], "carosac-toolkit")
+
+    def refuse(kind, name):
+        raise error
+
+    monkeypatch.setattr("carosac_toolkit.studies.compare.defaults.plugins.load", refuse)
+    usual, (text,) = default_estimation("simulator")
+    assert (usual.estimators, usual.sensors) == (("kinematic_solver",), ("lengths",))
+    assert text == (
+        f"Left out: {error}. Instead the default estimator is kinematic_solver, and the default "
+        "sensors are lengths."
+    )
+    assert text.count("dynamic_estimator") == 1
 
 
 def test_a_named_controller_that_refuses_all_robots_is_refused_before_any_case():

@@ -48,8 +48,8 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
 def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
     limited = LIMITED | {"limited_first": json.dumps({"speed": 44})}
     calm = PathFeasibility(
-        robot="carosac", trajectory="circle", paths=2, infeasible=0, reason="", time_scale=1.0,
-        speed=0.1, acceleration=0.1,
+        robot="carosac", robot_name="carosac", trajectory="circle", paths=2, infeasible=0,
+        reason="", time_scale=1.0, speed=0.1, acceleration=0.1,
     )  # fmt: skip
     results = study(rows("a", **limited))
     fast = replace(calm, infeasible=1, reason="too fast", time_scale=0.5)

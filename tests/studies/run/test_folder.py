@@ -48,12 +48,12 @@ def test_a_study_can_grow(tmp_path):
 
 def test_another_study_is_refused(tmp_path, monkeypatch):
     run(some_cases(3), tmp_path)
-    with pytest.raises(StudyConflict, match=r"3 cases with robot carosac.*seed 0, 1, 2.*asked"):
+    with pytest.raises(StudyConflict, match=r"study: controllers: \w+ is missing here"):
         run([one_case("mpc")], tmp_path)
-    with pytest.raises(StudyConflict, match=r"functions:score; asked for is function .*behave"):
+    with pytest.raises(StudyConflict, match=r"function: .*:score there, .*:behave here"):
         run(some_cases(3), tmp_path, BEHAVE)
     monkeypatch.setattr("carosac_toolkit.studies.run.folder.__version__", "99.0")
-    with pytest.raises(StudyConflict, match=r"toolkit .*; asked for is toolkit 99\.0"):
+    with pytest.raises(StudyConflict, match=r"toolkit: .* there, 99\.0 here"):
         run(some_cases(3), tmp_path)
     with pytest.raises(InvalidFile, match="toolkit"):
         read_cases(tmp_path)
@@ -61,9 +61,19 @@ def test_another_study_is_refused(tmp_path, monkeypatch):
 
 def test_settings_that_differ_from_the_study_of_a_folder_are_named(tmp_path):
     run([one_case("mpc", speed_max=1.0, weights={"sway": 2})], tmp_path)
-    message = r"speed_max \(held 1\.0, asked 2\.0\), weights\.sway \(held 2, asked none\)\."
+    message = r"study: speed_max: 1\.0 there, 2\.0 here; weights\.sway: 2 there, none here\. Use"
     with pytest.raises(StudyConflict, match=message):
         run([one_case("mpc", speed_max=2.0)], tmp_path)
+
+
+def test_only_what_is_missing_of_a_study_is_named(tmp_path):
+    run([*some_cases(9), one_case("mpc"), one_case("td3", limits=list(range(99)))], tmp_path)
+    with pytest.raises(StudyConflict) as caught:
+        run([*some_cases(1), one_case("mpc")], tmp_path)
+    text = str(caught.value)
+    assert "controllers: td3 is missing here" in text and "mpc" not in text
+    assert "seeds: 1, 2, 3 and 5 more are missing here" in text and len(text) < 320
+    assert "limits: [0, 1, 2" in text and "there, none here" in text
 
 
 def test_a_folder_serves_one_process_at_a_time(tmp_path):
