@@ -124,12 +124,13 @@ def _cable_table(report: RobotReport) -> str:
     """One row per cable; the last three columns at home."""
     robot, home = report.robot, report.equilibrium
     header = (
-        "cable", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]", "tension [N]",
-        "sag [mm]",
+        "cable", "diameter [mm]", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]",
+        "tension [N]", "sag [mm]",
     )  # fmt: skip
     rows = [
         (
             name,
+            float(robot.cable_diameter[i]) * 1e3,
             float(robot.axial_stiffness[i]) / 1e3,
             float(robot.linear_density[i]) * 1e3,
             float(robot.run_length[i]),

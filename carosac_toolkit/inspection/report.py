@@ -165,6 +165,7 @@ class RobotReport(RobotAtHome):
             "pulley_radius_m": robot.pulley_radius,
             "swivel_axis": [robot.swivel_axis[i] if pulley[i] else None for i in range(robot.n)],
             "run_length_m": robot.run_length,
+            "cable_diameter_m": robot.cable_diameter,
             "linear_density_kg_per_m": robot.linear_density,
             "axial_stiffness_N": robot.axial_stiffness,
             "tension_min_N": robot.tension_min,

@@ -108,6 +108,15 @@ def test_warnings_are_shown_and_leave_the_answer_as_it_is(tmp_path, capsys):
     )
 
 
+def test_a_cable_without_a_unit_is_asked_for_it(tmp_path, capsys):
+    path = tmp_path / "thick.yaml"
+    path.write_text(robot_text("carosac").replace("diameter: 4 mm", "diameter: 3"))
+    assert main(["check", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert "is diameter in mm? A bare number is in metres" in captured.err
+    assert "front_left            3000      950" in captured.out
+
+
 def calibrated(path, names, **changes):
     """Write the bundled robot as a calibration would, every parameter known to its square."""
     text = robot_text("carosac")
