@@ -6,7 +6,7 @@ report has; names are never cut.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -191,6 +191,15 @@ def _lost(line: Line) -> bool:
 
 def _cycle(line: Line) -> str:
     return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
+
+
+def after_the_end(times: Iterable[float | None]) -> str:
+    """Say over which times after the trajectory sway is taken, as far as they are known [s]."""
+    known = sorted({time for time in times if time is not None})
+    if not known:
+        return "after the end"
+    words = dict.fromkeys(plain(time, 2) for time in (known[0], known[-1]))
+    return f"in the {' to '.join(words)} s after the end"
 
 
 def tension_range(line: Line) -> str:
