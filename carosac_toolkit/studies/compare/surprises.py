@@ -41,6 +41,13 @@ ADVICE = {
     "length_rate": "the feed-forward rate was above the speed of a winch: {slower}",
     "coordination": "cables were held back to stay with the others",
 }
+DIVERGED_MEANING = (
+    "A case diverged if the platform left the workspace box, or for over half a sway period in one "
+    "piece was not held, not known or far from its reference; cables that are slack for shorter "
+    "pieces are scored. A mean beside (1 of 2) leaves such cases out, often the hardest: compare "
+    "rows by the cases that both solved, as the report does. To keep the platform held, {slower}, "
+    "or stay farther from the edge of the workspace."
+)
 WINCH_LIMITS = ("speed", "acceleration", "length_rate")  # which `path_feasibility` judges too
 CORRECTIONS_ADVICE = (
     "the paths alone stay within the limits of the winches, so slower paths help little. What is "
@@ -107,6 +114,8 @@ def _diverged(results: StudyResults) -> Iterator[str]:
             f"{label} diverged in {line['diverged']} of {line['cases']} cases, which have no score "
             f"and count in no mean: {reason}."
         )
+    if any(line["diverged"] for line in results.summary):
+        yield DIVERGED_MEANING.format(slower=_remedies(results)["slower"])
 
 
 def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterator[str]:
@@ -133,15 +142,19 @@ def _advice(results: StudyResults, name: str, members: Sequence[tuple[str, dict[
     judged = [one for one in results.feasibility if one.robot in robots]
     if name in WINCH_LIMITS and judged and not any(one.infeasible for one in judged):
         return CORRECTIONS_ADVICE
+    advice = ADVICE.get(name, "see driver.limits")
+    for key, text in _remedies(results).items():
+        advice = advice.replace(f"{{{key}}}", text)
+    return advice
+
+
+def _remedies(results: StudyResults) -> dict[str, str]:
+    """Say how paths are made slower and gentler: by options, or in their files."""
     drawn = any(not is_path_file(str(row["trajectory"])) for row in results.rows)
-    words = {
+    return {
         "slower": "lower --speed" if drawn else "slow the path down",
         "gentler": "lower --acceleration" if drawn else "smooth or slow the path down",
     }
-    advice = ADVICE.get(name, "see driver.limits")
-    for key, text in words.items():
-        advice = advice.replace(f"{{{key}}}", text)
-    return advice
 
 
 def _tensions(results: StudyResults) -> Iterator[str]:

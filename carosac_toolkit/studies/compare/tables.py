@@ -12,6 +12,7 @@ from carosac_toolkit.studies.compare.terminal_table import (
     after_the_end,
     cases,
     limited,
+    mean_tracking,
     percent,
     tension_range,
 )
@@ -110,13 +111,14 @@ def _cells(line: dict[str, Any]) -> list[str]:
     """Return the numbers of one group."""
     tracking, turn = line["tracking_rmse_m"], line["orientation_rmse_rad"]
     lengths = [
-        *(tracking[axis] for axis in AXIS_NAMES), line["tracking_std_m"], line["tracking_centre_m"],
+        line["tracking_std_m"], line["tracking_centre_m"],
         line["tracking_boundary_m"], line["estimation_rmse_m"]["norm"], line["estimation_p95_m"],
         turn, line["residual_sway_m"],
     ]  # fmt: skip
     shares = [percent(line[f"{name}_share"]) for name in ("slack", "overload", "outside")]
     latency = line["latency_p95_s"]
     return [
+        *(_millimetres(tracking[axis]) for axis in AXIS_NAMES[:-1]), mean_tracking(line),
         *map(_millimetres, lengths), tension_range(line), *shares, limited(line), cases(line),
         "-" if latency is None else f"{latency * 1e3:.2f}",
     ]  # fmt: skip

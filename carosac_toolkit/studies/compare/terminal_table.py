@@ -156,8 +156,7 @@ def _columns(results: StudyResults) -> list[_Column]:
     lost = "diverged or failed ones have no score" if any(map(_lost, results.summary)) else ""
     several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
-        _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
-                "RMSE [mm]"),
+        _Column("tracking", mean_tracking, 0, "RMSE [mm]"),
         _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
                 "RMS after the end [mm]"),
         _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
@@ -191,6 +190,12 @@ def _lost(line: Line) -> bool:
 
 def _cycle(line: Line) -> str:
     return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
+
+
+def mean_tracking(line: Line) -> str:
+    """Format the tracking error [mm], with the cases that it is over where some have no score."""
+    text, lost = millimetres(line["tracking_rmse_m"]["norm"]), line["failures"]
+    return f"{text} ({line['cases'] - lost} of {line['cases']})" if lost and text != "-" else text
 
 
 def after_the_end(times: Iterable[float | None]) -> str:

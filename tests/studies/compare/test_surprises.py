@@ -8,6 +8,8 @@ from pathlib import Path
 
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
+from carosac_toolkit.studies.compare.tables import name_columns
+from carosac_toolkit.studies.compare.tables import rows as table_rows
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
 from carosac_toolkit.studies.run.limit_scores import LIMIT_COLUMNS
@@ -107,10 +109,21 @@ def test_diverged_cases_are_counted_told_and_in_no_mean():
     assert line["diverged"] == line["failures"] == 1 and line["tracking_rmse_m"]["norm"] < 0.02
     assert line["tension_min_N"] == 1.0
     assert "diverged 1 of 3" in terminal_table(results, 100)
-    assert surprises(results)[0] == (
+    told, meaning = surprises(results)[:2]
+    assert told == (
         "b diverged in 1 of 3 cases, which have no score and count in no mean: the platform left "
         "the box."
     )
+    assert "lower --speed" in meaning and "compare rows by the cases that both solved" in meaning
+
+
+def test_a_mean_over_some_of_the_cases_says_over_how_many():
+    lost = bad(case("b", 2), "the platform left the box", "diverged") | CALM | {"steps": 100}
+    results = study([*rows("a"), *rows("b"), lost])
+    whole, part = terminal_table(results, 100).splitlines()[2:4]
+    assert "10.5 (2 of 3)" in part and "10.5  " in whole
+    (text,) = [row[name_columns(results) + 3] for row in table_rows(results) if row[0] == "b"]
+    assert text == "10.5 (2 of 3)"
 
 
 def test_identical_rows_are_told_with_the_remark_of_the_controller():
