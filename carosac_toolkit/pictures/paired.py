@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.pictures.drawing import new_figure, put_points, set_log, set_title
+from carosac_toolkit.pictures.groups import looks_of_ways
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
     SINGLE_COLUMN_INCH,
     Series,
-    series,
     styled,
 )
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
@@ -52,8 +52,8 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
         HEADER_HEIGHT_INCH + lines * (0.5 * (lines > 1) + COMPARISON_HEIGHT_INCH * (most + 1)),
     )
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
-    looks = {label: series(k) for k, label in enumerate(labels)}
+    ways = {one.label: one.names for block in shown for one in block.compared}
+    looks = dict(zip(ways, looks_of_ways(list(ways.values())), strict=True))
     for axes, block in zip(panels, shown, strict=False):
         _draw_block(axes, block, looks, names.get(block.robot, short_name(block.robot)))
     for axes in panels[len(shown) :]:

@@ -28,9 +28,10 @@ from carosac_toolkit.pictures.drawing import (
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
+    MODEL_NUMBERS,
     REST_COLOR,
     Series,
-    series,
+    looks_by_name,
     styled,
 )
 from carosac_toolkit.pictures.units import unit_of
@@ -172,9 +173,10 @@ VALIDATION_PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
 
 def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, Series]]:
     """Return models with scores, each with a look that does not depend on the others' success."""
+    looks = looks_by_name(list(result.models), MODEL_NUMBERS)
     return {
-        name: (model, series(k))
-        for k, (name, model) in enumerate(result.models.items())
+        name: (model, look)
+        for (name, model), look in zip(result.models.items(), looks, strict=True)
         if model.scores is not None
     }
 

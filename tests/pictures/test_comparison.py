@@ -7,7 +7,12 @@ from matplotlib.colors import to_hex
 from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
 from carosac_toolkit.pictures.groups import robot_names
 from carosac_toolkit.pictures.paired import draw_paired
-from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
+from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
+    MEASURED_COLOR,
+    SERIES_COLORS,
+    looks_by_name,
+)
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.example_cases import examples_of
 from carosac_toolkit.studies.compare.paired import paired_blocks
@@ -57,8 +62,10 @@ def test_every_axis_has_a_unit(results):
 
 
 def test_colours_belong_to_the_row_of_the_table_whatever_failed(results):
+    names = [line["controller"] for line in results.summary]
+    looks = looks_by_name(names, CONTROLLER_NUMBERS)
     for axes in COMPARISON_PICTURES["error_over_time"](results).axes:
-        assert colours(axes) == {SERIES_COLORS[0], SERIES_COLORS[2]}
+        assert colours(axes) == {looks[0].color, looks[2].color}
     for name in set(COMPARISON_PICTURES) - {"estimation"}:
         names = legend(COMPARISON_PICTURES[name](results))
         assert [x for x in names if x in SCALES] == list(SCALES), name
@@ -182,10 +189,11 @@ def test_a_controller_that_diverged_has_a_curve_that_is_marked_and_scales_nothin
     both = study(rows)
     time = COMPARISON_PICTURES["error_over_time"](both)
     assert legend(time)[:2] == ["fine", "lost (diverged)"]
+    _, lost = looks_by_name(["fine", "lost"], CONTROLLER_NUMBERS)
     for axes in time.axes:
         assert max(map(abs, axes.get_ylim())) < 20.0  # mm, of the one that is fine
         crosses = [line for line in axes.lines if line.get_marker() == "x"]
-        assert len(crosses) == 1 and to_hex(crosses[0].get_color()) == SERIES_COLORS[1]
+        assert len(crosses) == 1 and to_hex(crosses[0].get_color()) == lost.color
         assert axes.get_ylim()[0] <= crosses[0].get_ydata()[0] <= axes.get_ylim()[1]
     paths = COMPARISON_PICTURES["paths"](both)
     assert "lost (diverged)" in legend(paths)
