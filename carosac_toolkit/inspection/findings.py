@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.numbers import plain
-from carosac_toolkit.inspection import contacts
+from carosac_toolkit.inspection import contacts, swaps
 from carosac_toolkit.inspection.home import RobotAtHome
 from carosac_toolkit.inspection.units import doubtful_units
 from carosac_toolkit.robot.checks import unused_parts
@@ -40,8 +40,10 @@ def problems(report: RobotAtHome) -> list[str]:
         findings += _no_equilibrium(report)
     elif not home.stable[0]:
         findings.append(_unstable(report))
+    touching = [*contacts.touching(report)]
+    crossed = [*swaps.swapped(report)] if findings or touching else []
     limits = [*_tension_limits(report, home), *_winch_range(report)]
-    return [*findings, *limits, *contacts.touching(report)]
+    return [*findings, *limits, *touching, *crossed]
 
 
 def warnings(report: RobotAtHome) -> list[str]:
