@@ -119,20 +119,23 @@ def _diverged(results: StudyResults) -> Iterator[str]:
 
 
 def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterator[str]:
-    """Tell whose commands were limited, by what, and what to do, once for each limit."""
+    """Tell whose commands were limited, by what, and what to do, once for each advice."""
     by_limit: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for label, line in _lines(results, lambda line: (line["limited_share"] or 0.0) > least):
         name = main_limit(line)
         if name is not None:
             by_limit.setdefault(name, []).append((label, line))
+    causes: dict[str, list[str]] = {}
     for name, members in by_limit.items():
         each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
         reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
         advice = _advice(results, name, members).format(reach=plain(reach, 2))
+        causes.setdefault(advice, []).append(f"mostly by {name} ({each} of the commands)")
+    if causes:
+        told = "; ".join(f"{' or '.join(each)}: {advice}" for advice, each in causes.items())
         yield (
-            f"Commands were changed by limits before they reached the winches, mostly by {name} "
-            f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
-            "controller."
+            f"Commands were changed by limits before they reached the winches, {told}. Such rows "
+            "describe the limit as much as the controller."
         )
 
 

@@ -75,7 +75,7 @@ def terminal_table(results: StudyResults, width: int) -> str:
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns shown, and name estimator and sensors of all rows."""
+    """Explain the columns shown, name those left out, and estimator and sensors of all rows."""
     titles = {title for title, _ in shown_names(results)}
     shared = [
         f"{name} {_short(name, results)[0]}" for name in ("estimator", "sensors")
@@ -84,7 +84,13 @@ def caption(results: StudyResults, width: int) -> str:
     explained = [c for c in _fitting(results, width) if c.words]
     words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in explained)
     start = f"All rows: {', '.join(shared)}. " if shared else ""
-    return f"{start}{words[0].upper()}{words[1:]}."
+    shown = {c.title for c in _fitting(results, width)}
+    missing = [
+        c.title.split(" [")[0] for c in _columns(results)
+        if not {c.title, c.abbreviated().title} & shown
+    ]  # fmt: skip
+    rest = f" Without room here, in the report: {', '.join(missing)}." if missing else ""
+    return f"{start}{words[0].upper()}{words[1:]}.{rest}"
 
 
 def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:

@@ -26,6 +26,11 @@ LIMITED = {
     "limited_first": json.dumps({"jump": 43, "jerk": 1}),
 }  # fmt: skip
 
+FEASIBLE = PathFeasibility(
+    robot="carosac", trajectory="circle", paths=2, infeasible=0, reason="", time_scale=1.0,
+    speed=0.1, acceleration=0.1,
+)  # fmt: skip
+
 
 def rows(name="a", error=0.01, **more):
     return [good(case(name, seed), (error + 0.001 * seed, 0, 0), **CALM | more) for seed in (0, 1)]
@@ -49,19 +54,38 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
 
 def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
     limited = LIMITED | {"limited_first": json.dumps({"speed": 44})}
-    calm = PathFeasibility(
-        robot="carosac", trajectory="circle", paths=2, infeasible=0, reason="", time_scale=1.0,
-        speed=0.1, acceleration=0.1,
-    )  # fmt: skip
     results = study(rows("a", **limited))
-    fast = replace(calm, infeasible=1, reason="too fast", time_scale=0.5)
+    fast = replace(FEASIBLE, infeasible=1, reason="too fast", time_scale=0.5)
     (text,) = surprises(replace(results, feasibility=(fast,)))
     assert "lower --speed, or raise its speed_max" in text
-    (text,) = surprises(replace(results, feasibility=(calm,)))
+    (text,) = surprises(replace(results, feasibility=(FEASIBLE,)))
     assert "lower --speed" not in text and "slower paths help little" in text
     own = [row | {"trajectory": "my.csv"} for row in rows("a", **limited)]
     (text,) = surprises(replace(study(own), feasibility=(fast,)))
     assert "slow the path down" in text and "--speed" not in text
+
+
+def test_limits_with_the_same_advice_are_told_in_one_paragraph():
+    speed, acceleration = (
+        {"limited": 44, "limited_by": f'{{"{x}": 44}}', "limited_first": f'{{"{x}": 44}}'}
+        for x in ("speed", "acceleration")
+    )
+    runs = [*rows("a", **speed), *rows("b", 0.02, **acceleration)]
+    (both,) = surprises(replace(study(runs), feasibility=(FEASIBLE,)))
+    assert "mostly by speed (a 44 % of the commands) or mostly by acceleration (b 44 %" in both
+    assert both.count("so slower paths help little") == 1
+    (apart,) = surprises(study(runs))
+    assert "lower --speed" in apart and "lower --acceleration" in apart
+
+
+def test_the_terminal_says_which_columns_have_no_room():
+    runs = rows("a", residual_sway_m=0.01, latency_p95_s=1e-3)
+    assert "Without room" not in caption(study(runs), 200)
+    text = caption(study(runs), 60)
+    assert "Without room here, in the report: " in text
+    named = text.rpartition("report: ")[2].rstrip(".").split(", ")
+    assert "cycle" in named
+    assert not set(named) & set(terminal_table(study(runs), 60).splitlines()[0].split())
 
 
 def test_slack_and_overloaded_cables_are_told_with_the_limits():
