@@ -23,7 +23,10 @@ def test_check_describes_every_bundled_robot(name, tmp_path, capsys):
     for cable in data["cables"]:
         assert cable["tension_min_N"] - 1e-6 <= cable["home_tension_N"] <= cable["tension_max_N"]
         assert f"{cable['home_tension_N']:.2f}" in out
-    assert "natural frequencies at home [Hz]" in out
+    (line,) = [text for text in out.splitlines() if text.startswith("natural frequencies")]
+    assert line.count(", ") == 5 and all(
+        name in line for name in data["home"]["natural_directions"]
+    )
     assert all(field in out for field in data["provenance"])
 
 
