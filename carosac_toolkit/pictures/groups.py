@@ -149,6 +149,11 @@ def _robot_name(folder: Path, row: Row) -> str:
         return short_name(str(row["robot"]))
 
 
+def colors_of(groups: Sequence[Group]) -> Mapping[float, str]:
+    """Return the colours of groups by their places."""
+    return {group.number: group.look.color for group in groups}
+
+
 def looks_of(groups: Sequence[Group]) -> Mapping[str, Series]:
     """Return the looks of groups for a legend."""
     return {group.legend: group.look for group in groups}

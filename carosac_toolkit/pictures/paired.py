@@ -37,7 +37,7 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
     Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
-    `SIGNIFICANCE_LEVEL`.
+    `SIGNIFICANCE_LEVEL`; open marks: it is above.
 
     Args:
         blocks: Blocks of a study; those without a ratio are left out.
@@ -64,15 +64,17 @@ def draw_paired(blocks: Sequence[PairedBlock], names: Mapping[str, str]) -> Figu
     return figure
 
 
-def _explanation(pairs: Sequence[Pair]) -> tuple[str, str]:
+def _explanation(pairs: Sequence[Pair]) -> tuple[str, ...]:
     """Say what is drawn: intervals and full marks only where there are any."""
     ratios = [pair.ratio for pair in pairs if pair.ratio is not None]
     has_interval = any(one.low is not None for one in ratios)
     interval = "95 % interval" if has_interval else "no interval (too few seeds)"
-    sure = "full: p ≤ {:g} (Holm)" if any(map(_is_sure, pairs)) else "no p ≤ {:g}"
+    full = "full marks: p ≤ {:g} (Holm), open: above" if any(map(_is_sure, pairs)) else ""
+    marks = full or "all marks open: no p ≤ {:g}"
     return (
         "Error over the baseline's; right: cases won",
-        f"{interval}; {sure.format(SIGNIFICANCE_LEVEL)}",
+        interval,
+        marks.format(SIGNIFICANCE_LEVEL),
     )
 
 

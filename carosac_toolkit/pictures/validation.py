@@ -80,7 +80,10 @@ def draw_violins(result: ValidationResult) -> Figure:
         axes.set_title(title)
         axes.set_xlim(-0.6, len(models) - 0.4)
         axes.margins(y=0.08)
-        number_below(axes, numbers, f"RMSE [{unit}]")
+        colors: dict[float, str] = {
+            place: look.color for place, (_, look) in enumerate(models.values())
+        }
+        number_below(axes, numbers, f"RMSE [{unit}]", colors)
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
         axes.grid(axis="y", alpha=0.25)
     panels[0].set_ylabel(f"model minus measured position [{unit}]")

@@ -108,7 +108,8 @@ def error_violins(
     for place, column in enumerate(values.T):
         draw_violin(axes, column, place, series(place))
     numbers = {float(place): rms(column) for place, column in enumerate(values.T)}
-    number_below(axes, numbers, "RMSE along x, y and z [mm]")
+    colors = {place: series(k).color for k, place in enumerate(numbers)}
+    number_below(axes, numbers, "RMSE along x, y and z [mm]", colors)
     axes.set(xlim=(-0.6, 2.6), ylabel=f"{what} [mm]")
     axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
     axes.grid(axis="y", alpha=0.25)

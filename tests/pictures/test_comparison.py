@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES, in_both_regions
 from carosac_toolkit.pictures.groups import robot_names
 from carosac_toolkit.pictures.paired import draw_paired
 from carosac_toolkit.pictures.style import (
@@ -124,17 +124,21 @@ def test_marks_of_regions_are_as_high_as_the_table_says(results):
     assert drawn == pytest.approx(expected)
 
 
-def test_a_region_without_a_case_has_no_place_and_no_mark_is_cut():
+def test_one_region_alone_is_not_drawn_and_no_mark_is_cut(results, tmp_path):
     rows = [good(case(name, seed), (scale, scale, scale)) for name, scale in SCALES.items()
             for seed in range(2)]  # fmt: skip
+    assert in_both_regions(study(rows))
     for row in rows:
         row["tracking_boundary_m"], row["centre_steps"] = None, row["steps"]
-    figure = COMPARISON_PICTURES["regions"](study(rows))
-    axes = laid_out(figure).axes[0]
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["centre"]
-    assert "no path came to the boundary" in figure.get_suptitle().replace("\n", " ")
-    for line in axes.lines:
-        mark = line.get_transform().transform(line.get_xydata())
+    alone = study(rows, tmp_path)
+    assert not in_both_regions(alone)
+    assert "regions" not in {file.stem for file in write_report(alone, [], ["carosac"])}
+    figure = laid_out(COMPARISON_PICTURES["regions"](results))
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["centre", "boundary"]
+    for line in axes.lines[: len(results.summary)]:
+        known = line.get_xydata()[np.isfinite(line.get_ydata().astype(float))]
+        mark = line.get_transform().transform(known)
         half = line.get_markersize() / 72.0 * figure.dpi / 2.0
         assert (mark[:, 1] + half < axes.bbox.y1).all() and (mark[:, 1] > axes.bbox.y0).all()
 
@@ -167,7 +171,7 @@ def test_the_title_promises_intervals_only_where_there_are_any(seeds, said):
             for name, scale in SCALES.items() for seed in range(seeds)]  # fmt: skip
     results = study(rows)
     figure = draw_paired(paired_blocks(results), robot_names(results))
-    assert said in figure.get_suptitle()
+    assert said in figure.get_suptitle() and "open" in figure.get_suptitle()
     intervals = [line for axes in figure.axes for line in axes.lines if line.get_linewidth() == 1.6]
     assert bool(intervals) == (said == "95 % interval")
 
