@@ -26,7 +26,12 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement
-from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, series, styled
+from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
+    DOUBLE_COLUMN_INCH,
+    looks_by_name,
+    styled,
+)
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.robot import Robot
@@ -363,6 +368,7 @@ def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
     figure = new_figure(DOUBLE_COLUMN_INCH, 4.6)
     grid = figure.subplots(2, len(ROBOTS), sharex=True)
     width = 0.8 / len(names)
+    looks = looks_by_name(names, CONTROLLER_NUMBERS)
     for column, robot in enumerate(ROBOTS):
         for line, (key, label) in enumerate(
             (("rmse", "tracking error, RMS [mm]"), ("sway", "residual sway, RMS [mm]"))
@@ -376,7 +382,7 @@ def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
                     for wrong in WRONG
                 ]  # fmt: skip
                 place = np.arange(len(WRONG)) + (k - 0.5 * (len(names) - 1)) * width
-                look = series(k)
+                look = looks[k]
                 axes.bar(
                     place, values, width, color=look.color, hatch=look.hatch, edgecolor="white",
                     lw=0.0, label=name,

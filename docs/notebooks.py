@@ -70,11 +70,8 @@ def execute(path: Path) -> Any:
 
 
 def kernel_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return an environment in which pictures are shown inline and `carosac` is a command."""
-    result = {name: value for name, value in environment.items() if name != "MPLBACKEND"}
-    commands = str(Path(sys.executable).parent)
-    result["PATH"] = os.pathsep.join([commands, *filter(None, [environment.get("PATH")])])
-    return result
+    """Return an environment in which pictures are shown inline."""
+    return {name: value for name, value in environment.items() if name != "MPLBACKEND"}
 
 
 def make() -> None:

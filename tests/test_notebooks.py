@@ -47,7 +47,8 @@ def test_notebook_is_short_and_has_no_outputs(path):
 
 
 @pytest.mark.parametrize("path", notebooks.NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path):
+def test_notebook_runs_without_the_command_on_the_path(path, monkeypatch):
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
     executed = notebooks.execute(path)
     pictures = outputs_of(executed, "image/png")
     assert len(pictures) >= 2
@@ -67,7 +68,8 @@ def test_a_cell_that_raises_is_a_failure_that_names_it(tmp_path):
 
 
 def test_a_command_that_fails_is_a_failure(tmp_path):
-    path = notebook_of(tmp_path, "%%bash\ncarosac check no-such-robot.yaml")
+    words = '[sys.executable, "-m", "carosac_toolkit.cli.main", "check", "no-such-robot.yaml"]'
+    path = notebook_of(tmp_path, f"import subprocess, sys\nsubprocess.run({words}, check=True)")
     with pytest.raises(notebooks.NotebookFailed, match="CalledProcessError"):
         notebooks.execute(path)
 

@@ -5,6 +5,7 @@ Numbers are never cut or wrapped to make a table fit, as rich would do in a pipe
 
 from __future__ import annotations
 
+import re
 import shutil
 import textwrap
 from collections.abc import Sequence
@@ -12,6 +13,10 @@ from collections.abc import Sequence
 from carosac_toolkit.base.numbers import plain
 
 Rows = list[tuple[str, ...]]
+NO_BREAK_SPACE = "\u00a0"
+_UNIT_GAP_PATTERN = re.compile(
+    r"(?<=\d) (?=(?:%|[mck]?m|m?s|min|[mk]?N|k?g|t|k?Hz|deg|m?rad)(?:[^A-Za-z0-9]|$))"
+)
 NAME_SHOWN = 28  # characters of a name
 
 
@@ -21,11 +26,15 @@ def terminal_width() -> int:
 
 
 def wrapped(text: str, width: int, start: str = "") -> str:
-    """Break a sentence into lines, with a mark in front; paths and names stay whole."""
-    return textwrap.fill(
-        text, width, initial_indent=start, subsequent_indent=" " * len(start),
-        break_long_words=False, break_on_hyphens=False,
+    """Break a sentence into lines, with a mark in front.
+
+    Paths and names stay whole, and a number stays with its unit.
+    """
+    lines = textwrap.fill(
+        _UNIT_GAP_PATTERN.sub(NO_BREAK_SPACE, text), width, initial_indent=start,
+        subsequent_indent=" " * len(start), break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
+    return lines.replace(NO_BREAK_SPACE, " ")
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:

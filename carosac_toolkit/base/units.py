@@ -48,6 +48,7 @@ _KIND_OF_UNIT = {name: kind for kind, units in _UNIT_TABLE.values() for name in 
 _QUANTITY_PATTERN = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+(.*?)|(\D.*?))?\s*"
 )
+_DECIMAL_COMMA_PATTERN = re.compile(r"\s*[+-]?\d+,\d")
 _UNIT_SPELLINGS = str.maketrans({"·": "*", "⋅": "*", "²": "^2", "³": "^3", "µ": "u"})
 
 
@@ -92,6 +93,8 @@ def parse_quantity(value: object, unit: str) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool):
         number, suffix = float(value), ""
     else:
+        if isinstance(value, str) and _DECIMAL_COMMA_PATTERN.match(value):
+            raise InvalidQuantity(value, f"{describe(unit)}; the decimal sign is a point")
         match = _QUANTITY_PATTERN.fullmatch(value) if isinstance(value, str) else None
         if match is None:
             raise InvalidQuantity(value, describe(unit))

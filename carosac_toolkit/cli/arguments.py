@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType, NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+    StructConstructorSpec,
+    StructFieldSpec,
+)
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.cli.option_source import read_options
@@ -26,6 +33,7 @@ _TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
 }
 
 
+_REPEATABLE = get_args(tyro.conf.UseAppendAction[int])[1]
 WORD_LETTERS_MIN = 4  # of an unknown option, to look for it in the help of others
 SUGGESTIONS_MAX = 3
 _RENAMED_OPTIONS = {"--suites": "--sensors", "--suite": "--sensors"}  # where a command has the new
@@ -47,8 +55,9 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
         SystemExit: Help was asked for, and is printed.
     """
     registry = ConstructorRegistry()
-    registry.primitive_rule(_number_or_nothing)
     options = module.Options
+    registry.primitive_rule(_number_or_nothing)
+    registry.struct_rule(lambda info: _fields_in_words(options) if info.type is options else None)
     with _one_message(options, list(words)):
         return tyro.cli(
             options,
@@ -57,6 +66,31 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
             description=module.__doc__,
             registry=registry,
         )
+
+
+def _fields_in_words(options: type) -> StructConstructorSpec:
+    """Explain options in unbroken sentences, with those defaults that say something."""
+    known = read_options(options.__module__, options.__name__)
+    words = {option.field: option.help for option in known}
+    hints = get_type_hints(options, include_extras=True)
+    annotated: Any = Annotated  # built here, for no type checker
+    specs = []
+    for field in fields(options):
+        marks = getattr(hints[field.name], "__metadata__", ())
+        hinted = any(getattr(mark, "help_behavior_hint", None) is not None for mark in marks)
+        told = None if hinted or _REPEATABLE in marks else _default_in_words
+        text = tyro.conf.arg(help=words.get(field.name), help_behavior_hint=told)
+        default = tyro.MISSING if field.default is dataclasses.MISSING else field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        kind = annotated[hints[field.name], text]
+        specs.append(StructFieldSpec(name=field.name, type=kind, default=default))
+    return StructConstructorSpec(instantiate=options, fields=tuple(specs))
+
+
+def _default_in_words(text: str) -> str:
+    """Name a default, unless it only says that nothing was asked for."""
+    return "" if text in ("", "none", "False") else f"(default: {text})"
 
 
 def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:

@@ -1,7 +1,7 @@
 """Check a robot file; describe and draw the robot at home.
 
 Prints masses, points, pulleys, cables and limits, and at home the tensions, sag and natural
-frequencies. Warns of what looks like a mistake.
+frequencies. Warns of what looks like a mistake, such as a value in another unit.
 
 Exit status 1 means that the file is right but the robot cannot stay at its home position: no
 equilibrium within the tension limits, an unstable one, lengths that its winches cannot wind, or

@@ -124,12 +124,13 @@ def _cable_table(report: RobotReport) -> str:
     """One row per cable; the last three columns at home."""
     robot, home = report.robot, report.equilibrium
     header = (
-        "cable", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]", "tension [N]",
-        "sag [mm]",
+        "cable", "diameter [mm]", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]",
+        "tension [N]", "sag [mm]",
     )  # fmt: skip
     rows = [
         (
             name,
+            float(robot.cable_diameter[i]) * 1e3,
             float(robot.axial_stiffness[i]) / 1e3,
             float(robot.linear_density[i]) * 1e3,
             float(robot.run_length[i]),
@@ -153,7 +154,10 @@ def _home(report: RobotReport) -> Iterator[str]:
         f"at home     {_vector(home.position[0])} m, tilt {np.degrees(report.tilt):.2f} deg, "
         f"{'stable' if home.stable[0] else 'NOT STABLE'}, residual {home.residual[0]:.1e} N"
     )
-    frequencies = ", ".join(plain(value, 3) for value in report.frequencies)
+    frequencies = ", ".join(
+        f"{plain(value, 3)} {direction}"
+        for value, direction in zip(report.frequencies, report.directions, strict=True)
+    )
     yield f"natural frequencies at home [Hz]: {frequencies}"
     if (report.frequencies < 0.0).any():
         yield "  negative: this motion grows instead of oscillating, so the robot leaves home"

@@ -1,10 +1,10 @@
 """Compare controllers and estimators on the same draws of plants, paths and noise.
 
-Every combination is a case; cases run on all cores, or on a dask cluster. Warns of paths that the
-tensions and winches of a robot cannot follow. Prints one table of errors, tensions and limited
-commands, what diverged or failed and why, and what the numbers say in three sentences; writes
-pictures, one self-contained report.html and the row of every case in Parquet. Interrupted, the same
-command with the same --output goes on.
+Every combination is a case; cases run on all cores, or on a dask cluster. Warns of values of a
+robot that seem to be in another unit, and of paths that its tensions and winches cannot follow.
+Prints one table of errors, tensions and limited commands, what diverged or failed and why, and what
+the numbers say in three sentences; writes pictures, one self-contained report.html and the row of
+every case in Parquet. Interrupted, the same command with the same --output goes on.
 
 Exit status 1 means that a row of the table has no score: all its cases diverged or failed.
 """
@@ -18,6 +18,8 @@ from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.cli.compare_options import Options
 from carosac_toolkit.cli.compare_reference import run_suite
+from carosac_toolkit.inspection.report import report_robot
+from carosac_toolkit.inspection.units import doubtful_units
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import (
@@ -72,6 +74,8 @@ def run(options: Options) -> CommandResult:
     for text in left_out:
         print(wrapped(text, width), flush=True)
     study.prepare()
+    for text in _doubts(study):
+        print(wrapped(text, width, "WARNING: "), flush=True)
     for one in infeasible(study.feasibility):
         print(wrapped(one.sentence(), width, "WARNING: "), flush=True)
     for text in filter(None, map(departure_from_rows, study.trajectories)):
@@ -136,6 +140,15 @@ def _study(options: Options) -> tuple[Study, tuple[str, ...]]:
         **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
     return study, left_out
+
+
+def _doubts(study: Study) -> list[str]:
+    """Ask for the units of implausible values of the robots."""
+    return [
+        f"{robot.name}: {text}"
+        for robot in map(load_robot, study.robots)
+        for text in doubtful_units(report_robot(robot))
+    ]
 
 
 def _animation(options: Options, results: StudyResults, width: int) -> bytes | None:

@@ -1,7 +1,8 @@
 """List the robots that come with the toolkit, or copy the file of one to edit it.
 
-carosac robots
-carosac robots --copy carosac my-robot.yaml
+List them: carosac robots
+
+Copy one: carosac robots --copy carosac my-robot.yaml
 """
 
 from __future__ import annotations

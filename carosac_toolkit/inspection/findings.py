@@ -10,17 +10,15 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.numbers import plain
-from carosac_toolkit.inspection import contacts
+from carosac_toolkit.inspection import contacts, swaps
 from carosac_toolkit.inspection.home import RobotAtHome
+from carosac_toolkit.inspection.units import doubtful_units
 from carosac_toolkit.robot.checks import unused_parts
 from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 if TYPE_CHECKING:
     from carosac_toolkit.physics.rest.statics import Equilibrium
 
-FAR_DISTANCE_RATIO = (
-    20.0  # times the median distance: a point that far from the others has the wrong unit
-)
 DEEP_SAG_RATIO = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
 RANK_TOLERANCE = 1e-6  # of the largest singular value: smaller ones count as none
 FREQUENCY_MIN_HZ = 1e-6  # [Hz]: a slower motion does not oscillate
@@ -42,8 +40,10 @@ def problems(report: RobotAtHome) -> list[str]:
         findings += _no_equilibrium(report)
     elif not home.stable[0]:
         findings.append(_unstable(report))
+    touching = [*contacts.touching(report)]
+    crossed = [*swaps.swapped(report)] if findings or touching else []
     limits = [*_tension_limits(report, home), *_winch_range(report)]
-    return [*findings, *limits, *contacts.touching(report)]
+    return [*findings, *limits, *touching, *crossed]
 
 
 def warnings(report: RobotAtHome) -> list[str]:
@@ -52,7 +52,8 @@ def warnings(report: RobotAtHome) -> list[str]:
     Args:
         report: The robot and its equilibrium at home.
     """
-    findings = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    findings = doubtful_units(report)
+    findings += [*_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     findings += contacts.through_platform(report)
     tilt = float(np.degrees(report.tilt))
     if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
@@ -98,7 +99,10 @@ def _inside_pulley(report: RobotAtHome) -> Iterator[str]:
     for i in np.flatnonzero(~report.straight.valid[0]):
         radius = report.robot.pulley_radius[i]
         name = report.robot.cable_names[i]
-        yield f"cable {name} has its anchor point inside its pulley of {radius:g} m radius"
+        yield (
+            f"cable {name} has its anchor point inside its pulley of {radius:g} m radius: is the "
+            "radius in mm? A bare number is in metres"
+        )
 
 
 def _no_equilibrium(report: RobotAtHome) -> Iterator[str]:
@@ -195,24 +199,6 @@ def _outside(report: RobotAtHome) -> Iterator[str]:
             f"home is {plain(beyond, 3)} m outside the exit points as seen from above: no cable "
             "pulls the platform there"
         )
-
-
-def _far_points(report: RobotAtHome) -> Iterator[str]:
-    """Find points given in another unit than the rest."""
-    robot = report.robot
-    for kind, points, middle in (
-        ("exit point", robot.exit_points, robot.home_position),
-        ("anchor point", robot.anchor_points, np.zeros(3)),
-    ):
-        distance = np.linalg.norm(points - middle, axis=1)
-        usual = float(np.median(distance))
-        for i in np.flatnonzero((distance > FAR_DISTANCE_RATIO * usual) & (usual > 0.0)):
-            whence = "home" if kind == "exit point" else "the platform's origin"
-            yield (
-                f"the {kind} of cable {robot.cable_names[i]} is {plain(distance[i], 4)} m from "
-                f"{whence}, the others about {plain(usual, 3)} m: is its unit right? A bare "
-                "number is in metres"
-            )
 
 
 def _low_rank(report: RobotAtHome) -> Iterator[str]:

@@ -29,6 +29,7 @@ class RobotAtHome:
             is no equilibrium.
         frequencies: Natural frequencies at home [Hz], slowest first, shape (6,); negative for an
             unstable mode, NaN where there is no equilibrium.
+        directions: Main direction of each of these modes, x to yaw; none without an equilibrium.
         straight: Straight cables at home over their pulleys, B = 1.
         wrap: Angle of contact with each pulley at home [rad], shape (n,), of the hanging cable
             where there is an equilibrium, else of the straight one; 0 without a pulley.
@@ -40,6 +41,7 @@ class RobotAtHome:
     shape: Array
     sag: Array
     frequencies: Array
+    directions: tuple[str, ...]
     straight: StraightCables
     wrap: Array
     file: RobotFile | None = None

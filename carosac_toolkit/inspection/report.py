@@ -165,6 +165,7 @@ class RobotReport(RobotAtHome):
             "pulley_radius_m": robot.pulley_radius,
             "swivel_axis": [robot.swivel_axis[i] if pulley[i] else None for i in range(robot.n)],
             "run_length_m": robot.run_length,
+            "cable_diameter_m": robot.cable_diameter,
             "linear_density_kg_per_m": robot.linear_density,
             "axial_stiffness_N": robot.axial_stiffness,
             "tension_min_N": robot.tension_min,
@@ -208,6 +209,7 @@ class RobotReport(RobotAtHome):
             "stable": bool(home.stable[0]) if converged else None,
             "residual_N": home.residual[0],
             "natural_frequencies_Hz": self.frequencies,
+            "natural_directions": self.directions,
         }
 
 
@@ -230,7 +232,9 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
     if equilibrium.converged[0]:
         shape = statics.cable_shape(robot, equilibrium, CABLE_SHAPE_POINTS)[0]
         sag = statics.sag(robot, equilibrium, samples=CABLE_SHAPE_POINTS)[0]
-        frequencies = modes.natural_frequencies(robot, equilibrium)[0]
+        motions = modes.natural_modes(robot, equilibrium)
+        frequencies = motions.frequency[0]
+        (directions,) = modes.main_directions(robot, equilibrium.rotation, motions.shape)
         wrap = _wrap(robot, equilibrium)
     else:
         anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
@@ -239,12 +243,14 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
         start = anchors - free[:, None] * straight.direction[0]
         shape = start[:, None] * (1.0 - share) + anchors[:, None] * share
         sag, frequencies = np.full(robot.n, np.nan), np.full(6, np.nan)
+        directions = ()
     return RobotReport(
         robot=robot,
         equilibrium=equilibrium,
         shape=shape,
         sag=sag,
         frequencies=frequencies,
+        directions=directions,
         straight=straight,
         wrap=wrap,
         file=file,

@@ -15,6 +15,7 @@ import warp as wp
 NOTICE_DELAY_S = 1.0  # [s] of loading before the user is told
 COMPILED_VARIABLE = "CAROSAC_COMPILED"  # environment: devices for which a parent has compiled all
 
+_one_at_a_time = threading.RLock()  # Warp's log level is that of the whole process
 _loaded: set[tuple[str, str]] = set()
 _started: list[bool] = []
 _told: set[str] = set()
@@ -23,11 +24,12 @@ _told: set[str] = set()
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Hold back Warp's banner and its compile log: they go to standard output."""
-    level, wp.config.log_level = wp.config.log_level, wp.LOG_WARNING
-    try:
-        yield
-    finally:
-        wp.config.log_level = level
+    with _one_at_a_time:
+        level, wp.config.log_level = wp.config.log_level, wp.LOG_WARNING
+        try:
+            yield
+        finally:
+            wp.config.log_level = level
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.motions import Motion
+from carosac_toolkit.pictures.style import CONTROLLER_NUMBERS, REST_COLOR, looks_by_name
 from carosac_toolkit.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ LIGHT = np.array([0.3, -0.6, 0.75])
 PLATFORM_COLOR = np.array([0.30, 0.33, 0.38])
 FRAME_COLOR, PATH_COLOR, SLACK_COLOR = "#3a3a3a", "#8a8a8a", "#b9bfc7"
 TENSION_MAP = "plasma_r"
-ERROR_COLORS = ("#d55e00", "#0072b2", "#009e73")  # Okabe and Ito: told apart by everybody
 CONTROLLER_WORDS = {
     "kinematic_solver": "kinematic solver", "straight_line": "straight-line model",
     "input_shaping": "input shaping", "mpc": "MPC", "td3": "learned policy (TD3)",
@@ -129,14 +129,16 @@ class _Stage:
         figure.text(0.015, 0.926, _subtitle(whole[0]), va="center", fontsize=10.5, color="0.35")
         colors = _TensionColors(whole[0].plant)
         ends = [float(motion.time[-1]) for motion in whole]
+        names = [motion.controller for motion in whole]
+        inks = [look.color for look in looks_by_name(names, CONTROLLER_NUMBERS)]
         self._panels = [
             _Panel(figure.add_subplot(grid[0, k]), motion, end, self._views, colors, color)
-            for k, (motion, end, color) in enumerate(zip(sampled, ends, ERROR_COLORS, strict=False))
+            for k, (motion, end, color) in enumerate(zip(sampled, ends, inks, strict=True))
         ]
         for panel, motion in zip(self._panels, whole, strict=True):
             words = _words(motion) + (" (diverged)" if motion.diverged else "")
             panel.axes.set_title(words, fontsize=12.5, color=panel.color, weight="bold")
-        self._errors = _Errors(figure.add_subplot(grid[1, :]), whole)
+        self._errors = _Errors(figure.add_subplot(grid[1, :]), whole, inks)
         colors.draw_bar(figure)
 
     def show(self, k: int) -> None:
@@ -285,10 +287,10 @@ class _Panel:
 class _Errors:
     """Distance from the path over time, up to now."""
 
-    def __init__(self, axes: Any, motions: Sequence[Motion]) -> None:
+    def __init__(self, axes: Any, motions: Sequence[Motion], inks: Sequence[str]) -> None:
         self._axes, self._motions = axes, motions
         moving = float(motions[0].time[_arrival(motions[0])])
-        axes.axvspan(0.0, moving, color="0.94", zorder=0, lw=0)
+        axes.axvspan(moving, float(motions[0].time[-1]), color=REST_COLOR, zorder=0, lw=0)
         top = 1.25e3 * max(float(motion.error.max()) for motion in _followed(motions))
         axes.set(xlim=(0.0, motions[0].time[-1]), ylim=(0.0, top))
         for start, words in ((0.0, "reference moves"), (moving, "reference rests")):
@@ -300,9 +302,7 @@ class _Errors:
         axes.set_ylabel("position error [mm]", fontsize=10)
         axes.tick_params(labelsize=9)
         axes.spines[["top", "right"]].set_visible(False)
-        self._lines = [
-            axes.plot([], [], color=color, lw=2.0)[0] for color in ERROR_COLORS[: len(motions)]
-        ]
+        self._lines = [axes.plot([], [], color=ink, lw=2.0)[0] for ink in inks]
         self._now = axes.axvline(0.0, color="0.3", lw=0.8)
 
     def show(self, now: float) -> None:

@@ -220,21 +220,16 @@ def _enlarged(example: Example, factor: int) -> Array:
 
 @styled
 def draw_regions(results: StudyResults) -> Figure:
-    """Draw the tracking error in the centre of the workspace box and near its boundary.
-
-    A region in which no group was has no place in the picture.
-    """
+    """Draw the tracking error in the centre of the workspace box and near its boundary."""
     groups = groups_of(results)
     figure = new_figure(SINGLE_COLUMN_INCH, 2.6 + 0.15 * len(groups))
     axes = figure.subplots()
     values = {group.number: _by_region(group) for group in groups}
-    known = np.array([np.isfinite(column).any() for column in zip(*values.values(), strict=True)])
-    shown = np.flatnonzero(known) if known.any() else np.arange(len(REGIONS))
     unit, factor = unit_of(values.values())
     for group in groups:
         shift = 0.7 * ((group.number + 0.5) / len(groups) - 0.5)
         axes.plot(
-            np.arange(len(shown)) + shift, factor * values[group.number][shown], group.look.marker,
+            np.arange(len(REGIONS)) + shift, factor * values[group.number], group.look.marker,
             color=group.look.color, ms=6, label=group.legend, clip_on=False, zorder=3,
         )  # fmt: skip
     axes.margins(y=0.12)
@@ -242,20 +237,23 @@ def draw_regions(results: StudyResults) -> Figure:
         set_log(axes, "y")
     else:
         axes.set_ylim(bottom=0.0)
-    axes.set_xticks(range(len(shown)), [REGIONS[k] for k in shown])
-    axes.set(xlim=(-0.5, len(shown) - 0.5), ylabel=f"tracking RMSE [{unit}]", axisbelow=True)
-    for place in range(1, len(shown)):
-        axes.axvline(place - 0.5, color=MEASURED_COLOR, lw=0.4)
+    axes.set_xticks(range(len(REGIONS)), REGIONS)
+    axes.set(xlim=(-0.5, len(REGIONS) - 0.5), ylabel=f"tracking RMSE [{unit}]", axisbelow=True)
+    axes.axvline(0.5, color=MEASURED_COLOR, lw=0.4)
     axes.grid(axis="y", alpha=0.25)
-    absent = [name for name, has in zip(REGIONS, known, strict=True) if known.any() and not has]
     set_title(
         figure,
         f"{robots_title(results)}: tracking error by region of the workspace box",
-        *(f"no path came to the {name}" for name in absent),
         left_out(results),
     )
     put_legend(figure, axes)
     return figure
+
+
+def in_both_regions(results: StudyResults) -> bool:
+    """Return whether any paths came to the centre, and any to the boundary."""
+    errors = np.array([_by_region(group) for group in groups_of(results)])
+    return bool(np.isfinite(errors).any(axis=0).all())
 
 
 def _by_region(group: Group) -> Array:

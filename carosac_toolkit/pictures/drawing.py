@@ -179,18 +179,24 @@ def draw_violin(
     axes.plot(place, values.mean(), look.marker, color=look.color, ms=4.5, mec="white", mew=0.6)
 
 
-def number_below(axes: Any, numbers: Mapping[float, float | None], label: str) -> None:
-    """Write a number for each place below the axis, clear of what is drawn.
+def number_below(
+    axes: Any, numbers: Mapping[float, float | None], label: str, colors: Mapping[float, str]
+) -> None:
+    """Write a number for each place below the panel, in its colour: the panel has no axis there.
 
     Args:
         axes: The panel.
         numbers: Number by its place on the axis; None where there is none.
         label: Meaning and unit of the numbers.
+        colors: Colour of the number by its place.
     """
     known = {place: value for place, value in numbers.items() if value is not None}
     axes.set_xticks(list(known), [short_number(value) for value in known.values()])
     upright = len(known) > UPRIGHT_NUMBERS_MAX
     axes.tick_params(axis="x", length=0, rotation=90 if upright else 0)
+    for place, text in zip(known, axes.get_xticklabels(), strict=True):
+        text.set(color=colors[place], fontweight="bold")
+    axes.spines[["bottom", "top"]].set_visible(False)
     axes.set_xlabel(label)
 
 

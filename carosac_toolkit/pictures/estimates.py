@@ -18,7 +18,7 @@ from carosac_toolkit.pictures.drawing import (
     set_log,
     set_title,
 )
-from carosac_toolkit.pictures.groups import Group
+from carosac_toolkit.pictures.groups import Group, colors_of
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH, MEASURED_COLOR, REST_COLOR
 from carosac_toolkit.pictures.units import unit_of
 from carosac_toolkit.studies.compare.example_cases import estimates_of
@@ -51,7 +51,7 @@ def draw_axis_violins(
                 draw_violin(axes, values, group.number, group.look)
                 numbers[group.number] = rms(values)
         axes.set_title(name)
-        number_below(axes, numbers, f"RMSE [{unit}]")
+        number_below(axes, numbers, f"RMSE [{unit}]", colors_of(groups))
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
     return unit
 
@@ -116,7 +116,7 @@ def _draw_squares(
     set_log(axes, "y")
     axes.set_ylabel("NEES / degrees of freedom [-]")
     axes.set_title("NEES of the pose")
-    number_below(axes, numbers, "mean [-]")
+    number_below(axes, numbers, "mean [-]", colors_of(groups))
 
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:

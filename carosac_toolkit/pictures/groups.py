@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.tables import counted
-from carosac_toolkit.pictures.style import SERIES_COLORS, Series, series
+from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
+    MODEL_NUMBERS,
+    SERIES_COLORS,
+    Series,
+    looks_by_name,
+)
 from carosac_toolkit.studies.compare.names import robot_names, short_name
 from carosac_toolkit.studies.compare.results import GROUP_COLUMNS, StudyResults, labels_by
 from carosac_toolkit.studies.run.robot_copies import robot_of_row
@@ -25,16 +31,13 @@ class Group:
         label: Short name, distinct from those of the other groups.
         rows: One per case.
         number: Place among the groups, from 0.
+        look: Look of the series, by its controller or estimator.
     """
 
     label: str
     rows: Sequence[Row]
     number: int
-
-    @property
-    def look(self) -> Series:
-        """Look of the series; it does not depend on what other groups did."""
-        return series(self.number)
+    look: Series
 
     @property
     def legend(self) -> str:
@@ -78,7 +81,24 @@ def _grouped(
     if len(set(labels)) < len(labels):  # two classes of one name in different modules
         labels = labels_by(columns, [rows[0] for rows in groups])
     shown = list(zip(labels, groups, strict=True))[:GROUPS_MAX]
-    return [Group(label=label, rows=rows, number=k) for k, (label, rows) in enumerate(shown)]
+    looks = looks_of_ways([rows[0] for _, rows in shown], alone)
+    return [
+        Group(label=label, rows=rows, number=k, look=look)
+        for k, ((label, rows), look) in enumerate(zip(shown, looks, strict=True))
+    ]
+
+
+def looks_of_ways(ways: Sequence[Mapping[str, object]], usual: str = "controller") -> list[Series]:
+    """Return the looks of groups by the names of their controllers or of their estimators.
+
+    Args:
+        ways: Controller and estimator of each group.
+        usual: What tells them apart, unless all have one controller but several estimators.
+    """
+    several = {name for name in ("controller", "estimator") if len({x[name] for x in ways}) > 1}
+    name = "estimator" if several == {"estimator"} else usual
+    numbers = CONTROLLER_NUMBERS if name == "controller" else MODEL_NUMBERS
+    return looks_by_name([str(x[name]) for x in ways], numbers)
 
 
 def left_out(results: StudyResults) -> str:
@@ -104,6 +124,11 @@ def cable_names(results: StudyResults, count: int) -> list[str]:
     if len(named) == 1 and len(names := list(named.pop())) == count:
         return names
     return [f"cable {k + 1}" for k in range(count)]
+
+
+def colors_of(groups: Sequence[Group]) -> Mapping[float, str]:
+    """Return the colours of groups by their places."""
+    return {group.number: group.look.color for group in groups}
 
 
 def looks_of(groups: Sequence[Group]) -> Mapping[str, Series]:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.pictures.drawing import new_figure, put_points, set_log, set_title
+from carosac_toolkit.pictures.groups import looks_of_ways
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
     SINGLE_COLUMN_INCH,
     Series,
-    series,
     styled,
 )
 from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
@@ -36,7 +36,7 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
     Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
-    `SIGNIFICANCE_LEVEL`.
+    `SIGNIFICANCE_LEVEL`; open marks: it is above.
 
     Args:
         blocks: Blocks of a study; those without a ratio are left out.
@@ -50,8 +50,8 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
         HEADER_HEIGHT_INCH + lines * (0.5 * (lines > 1) + COMPARISON_HEIGHT_INCH * (most + 1)),
     )
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
-    looks = {label: series(k) for k, label in enumerate(labels)}
+    ways = {one.label: one.names for block in shown for one in block.compared}
+    looks = dict(zip(ways, looks_of_ways(list(ways.values())), strict=True))
     for axes, block in zip(panels, shown, strict=False):
         _draw_block(axes, block, looks, block.robot_name)
     for axes in panels[len(shown) :]:
@@ -62,15 +62,17 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     return figure
 
 
-def _explanation(pairs: Sequence[Pair]) -> tuple[str, str]:
+def _explanation(pairs: Sequence[Pair]) -> tuple[str, ...]:
     """Say what is drawn: intervals and full marks only where there are any."""
     ratios = [pair.ratio for pair in pairs if pair.ratio is not None]
     has_interval = any(one.low is not None for one in ratios)
     interval = "95 % interval" if has_interval else "no interval (too few seeds)"
-    sure = "full: p ≤ {:g} (Holm)" if any(map(_is_sure, pairs)) else "no p ≤ {:g}"
+    full = "full marks: p ≤ {:g} (Holm), open: above" if any(map(_is_sure, pairs)) else ""
+    marks = full or "all marks open: no p ≤ {:g}"
     return (
         "Error over the baseline's; right: cases won",
-        f"{interval}; {sure.format(SIGNIFICANCE_LEVEL)}",
+        interval,
+        marks.format(SIGNIFICANCE_LEVEL),
     )
 
 

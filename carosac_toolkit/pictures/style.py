@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -36,6 +36,12 @@ SERIES_LINES = (
 )
 SERIES_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 SERIES_HATCHES = ("", "/////", ".....", "xxxxx", "\\\\\\\\\\", "|||||", "-----", "+++++")
+CONTROLLER_NUMBERS = {
+    "mpc": 0, "kinematic_solver": 1, "td3": 2, "input_shaping": 3, "straight_line": 4,
+}  # fmt: skip
+MODEL_NUMBERS = {  # of estimators and of models that are compared with recordings
+    "simulator": 0, "kinematic_solver": 1, "dynamic_estimator": 2, "ks_ekf": 3, "straight_line": 4,
+}  # fmt: skip
 StyleName = Literal["screen", "paper"]
 _SHARED: Mapping[str, Any] = {
     "font.size": 8.0,
@@ -101,6 +107,25 @@ def series(number: int) -> Series:
         marker=SERIES_MARKERS[k],
         hatch=SERIES_HATCHES[k],
     )
+
+
+def looks_by_name(names: Sequence[str], numbers: Mapping[str, int]) -> list[Series]:
+    """Return a look for each of some names: the same in all pictures, as long as looks last.
+
+    A known name has its own number. Unknown ones, and those that stand there again, take the free
+    numbers in their order, first those that no known name has.
+
+    Args:
+        names: Names of controllers, estimators or models, which may stand there several times.
+        numbers: Numbers of known names: `CONTROLLER_NUMBERS` or `MODEL_NUMBERS`.
+    """
+    own = {names.index(name): number for name, number in numbers.items() if name in names}
+    free = [k for k in range(len(SERIES_COLORS)) if k not in own.values()]
+    free.sort(key=lambda k: k in numbers.values())
+    others = iter(free)
+    return [
+        series(own[place] if place in own else next(others, place)) for place in range(len(names))
+    ]
 
 
 @contextmanager

@@ -28,9 +28,10 @@ from carosac_toolkit.pictures.drawing import (
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
+    MODEL_NUMBERS,
     REST_COLOR,
     Series,
-    series,
+    looks_by_name,
     styled,
 )
 from carosac_toolkit.pictures.units import unit_of
@@ -79,7 +80,10 @@ def draw_violins(result: ValidationResult) -> Figure:
         axes.set_title(title)
         axes.set_xlim(-0.6, len(models) - 0.4)
         axes.margins(y=0.08)
-        number_below(axes, numbers, f"RMSE [{unit}]")
+        colors: dict[float, str] = {
+            place: look.color for place, (_, look) in enumerate(models.values())
+        }
+        number_below(axes, numbers, f"RMSE [{unit}]", colors)
         axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
         axes.grid(axis="y", alpha=0.25)
     panels[0].set_ylabel(f"model minus measured position [{unit}]")
@@ -172,9 +176,10 @@ VALIDATION_PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
 
 def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, Series]]:
     """Return models with scores, each with a look that does not depend on the others' success."""
+    looks = looks_by_name(list(result.models), MODEL_NUMBERS)
     return {
-        name: (model, series(k))
-        for k, (name, model) in enumerate(result.models.items())
+        name: (model, look)
+        for (name, model), look in zip(result.models.items(), looks, strict=True)
         if model.scores is not None
     }
 

@@ -39,8 +39,8 @@ STUDY_CAPTIONS = {
     "animation": "The same case under some controllers: cables by tension, distance of the "
     "platform from its reference.",
     "paired": "Every error over that of the baseline on the same draws, with its 95 % interval: "
-    "left of 1 is better. Full marks: the Holm-corrected p is at most 0.05; on the right: cases in "
-    "which the error was smaller.",
+    "left of 1 is better. Full marks: the Holm-corrected p is at most 0.05; open ones: it is "
+    "above, so the difference may be chance; on the right: cases in which the error was smaller.",
     "paths": "One case: path of the platform origin and its reference, errors enlarged.",
     "error_over_time": "One case: tracking error per axis; grey: the reference rests; a cross: "
     "where a case that diverged leaves the panel, or ends.",
@@ -120,13 +120,15 @@ def animation_of(results: StudyResults, controllers: Sequence[str]) -> bytes:
 
 def _images(results: StudyResults, blocks: Sequence[PairedBlock]) -> dict[str, bytes]:
     """Draw the pictures for which there are data, as files in all formats."""
-    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES, in_both_regions
     from carosac_toolkit.pictures.paired import comparable, draw_paired
     from carosac_toolkit.pictures.saving import picture_files
 
     names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
     if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
         names = [name for name in names if name != "rmse_distribution"]
+    if not in_both_regions(results):  # one column compares nothing
+        names = [name for name in names if name != "regions"]
     if not names and curves_of(results.rows):  # all cases diverged
         names = ["paths", "error_over_time"]
     if not names and estimated(results.rows):  # nothing follows commands on a recording

@@ -151,7 +151,10 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
     model, parts, errors = _validate(data)
     errors = errors[:_ERRORS_MAX]
     unknown = _unknown_keys(errors)
-    return model, _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
+    repaired = _repaired(data, unknown)
+    if isinstance(sources := repaired.get("provenance"), dict):
+        repaired["provenance"] = _repaired_sources(sources, unknown)
+    return model, _schema_faults(errors, unknown) + cross_faults(repaired, parts)
 
 
 def _looks_like_path(text: str) -> bool:
@@ -213,17 +216,33 @@ def _repaired(value: Any, unknown: dict[FieldPath, str | None], path: FieldPath 
     return result
 
 
+def _repaired_sources(
+    sources: dict[str, Any], unknown: dict[FieldPath, str | None]
+) -> dict[str, Any]:
+    """Let sources follow the misspelt keys that they name, and leave out those of unknown keys."""
+    repaired = dict(sources)
+    for path, correction in unknown.items():
+        misspelt = format_path(path)
+        for name in list(repaired):
+            if name == misspelt or name.startswith((f"{misspelt}.", f"{misspelt}[")):
+                source = repaired.pop(name)
+                if correction is not None:
+                    right = format_path((*path[:-1], correction)) + name[len(misspelt) :]
+                    repaired.setdefault(right, source)
+    return repaired
+
+
 def _schema_faults(
     errors: list[ErrorDetails], unknown: dict[FieldPath, str | None]
 ) -> list[tuple[FieldPath, str]]:
     """Word the errors of the schema; a misspelt key counts once, not as missing as well."""
     faults: list[tuple[FieldPath, str]] = []
-    missing = {
-        details["loc"][-1]: details["loc"] for details in errors if details["type"] == "missing"
-    }
+    absent = [details["loc"] for details in errors if details["type"] == "missing"]
+    missing = {path[-1]: path for path in absent}
     for path, correction in unknown.items():
         keys = ", ".join(_keys(RobotFile, path[:-1]))
-        hint = f"; did you mean '{correction}'?" if correction else ""
+        ending = ", which is missing" if (*path[:-1], correction) in absent else ""
+        hint = f"; did you mean '{correction}'{ending}?" if correction else ""
         if path[-1] in missing:
             hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right?"
         faults.append((path, f"unknown key; allowed: {keys}{hint}"))

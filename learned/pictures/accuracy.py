@@ -29,6 +29,7 @@ from carosac_toolkit.pictures.drawing import (
     views,
 )
 from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
     DOUBLE_COLUMN_INCH,
     MEASURED_COLOR,
     REST_COLOR,
@@ -36,6 +37,7 @@ from carosac_toolkit.pictures.style import (
     SERIES_LINES,
     SINGLE_COLUMN_INCH,
     Series,
+    looks_by_name,
     series,
     styled,
 )
@@ -106,7 +108,8 @@ def error_violins(
     for place, column in enumerate(values.T):
         draw_violin(axes, column, place, series(place))
     numbers = {float(place): rms(column) for place, column in enumerate(values.T)}
-    number_below(axes, numbers, "RMSE along x, y and z [mm]")
+    colors = {place: series(k).color for k, place in enumerate(numbers)}
+    number_below(axes, numbers, "RMSE along x, y and z [mm]", colors)
     axes.set(xlim=(-0.6, 2.6), ylabel=f"{what} [mm]")
     axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6, zorder=0)
     axes.grid(axis="y", alpha=0.25)
@@ -174,10 +177,11 @@ def rmse_distribution(
         raise InvalidField("groups", len(groups), f"1 to {PATHS_DRAWN_MAX} groups")
     figure = new_figure(DOUBLE_COLUMN_INCH, 2.8)
     panels = figure.subplots(1, 3, sharey=True)
-    for place, (name, errors) in enumerate(groups.items()):
+    looks = looks_by_name(list(groups), CONTROLLER_NUMBERS)
+    for (name, errors), look in zip(groups.items(), looks, strict=True):
         values = MM_PER_M * batch(name, errors, (3,))
         for axes, column in zip(panels, values.T, strict=True):
-            draw_ecdf(axes, column, len(column), series(place), name)
+            draw_ecdf(axes, column, len(column), look, name)
     for axes, name in zip(panels, "xyz", strict=True):
         axes.set_title(name)
     finish_ecdf(panels, "RMSE of a trajectory [mm]")

@@ -40,6 +40,8 @@ def test_a_number_with_a_unit_becomes_si(written, unit, expected):
         ("60 Gpa", "Pa", r"a stress in Pa .*; did you mean GPa"),
         ("2 kg", "m", r"'2 kg'; allowed: a length in m \(or mm, cm, km\); kg is a mass"),
         ("10 g/n", "kg/m", "did you mean g/m"),
+        ("1,5 m/s", "m/s", "a speed in m/s .*; the decimal sign is a point$"),
+        ("-1,5", "m", "; the decimal sign is a point$"),
         ("3 furlong", "m", "a length in m"),
         ("top", "m", "got 'top'"),
         (True, "kg", "got True"),

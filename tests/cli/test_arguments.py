@@ -66,10 +66,21 @@ def test_help_is_in_words(capsys, command):
         main([command, "--help"])
     assert not stopped.value.code
     text = capsys.readouterr().out
-    assert "{None}" not in text and "default: None" not in text
-    assert "(default: none)" in text
+    assert "{None}" not in text
+    for empty in ("(default: )", "(default: None)", "(default: none)", "(default: False)"):
+        assert empty not in text
+    assert "(default: 0)" in text
     if command == "validate":
         assert "--robot TEXT" in text and "--stop INT" in text
+
+
+def test_sentences_of_the_help_are_not_broken_before_dots_and_digits(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "500")
+    with pytest.raises(SystemExit):
+        main(["view", "--help"])
+    text = capsys.readouterr().out
+    assert "(bundled name, .parquet, .csv, .mat or .jsonl), or the folder of a study" in text
+    assert "by default 1 m/s on the robot carosac, on others by their size." in text
 
 
 def test_a_robot_is_named_with_or_without_the_option():

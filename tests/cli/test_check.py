@@ -23,7 +23,10 @@ def test_check_describes_every_bundled_robot(name, tmp_path, capsys):
     for cable in data["cables"]:
         assert cable["tension_min_N"] - 1e-6 <= cable["home_tension_N"] <= cable["tension_max_N"]
         assert f"{cable['home_tension_N']:.2f}" in out
-    assert "natural frequencies at home [Hz]" in out
+    (line,) = [text for text in out.splitlines() if text.startswith("natural frequencies")]
+    assert line.count(", ") == 5 and all(
+        name in line for name in data["home"]["natural_directions"]
+    )
     assert all(field in out for field in data["provenance"])
 
 
@@ -106,6 +109,15 @@ def test_warnings_are_shown_and_leave_the_answer_as_it_is(tmp_path, capsys):
     assert capsys.readouterr().err.endswith(
         "carosac: warning: frame.exit_points.spare is used by no chain\n"
     )
+
+
+def test_a_cable_without_a_unit_is_asked_for_it(tmp_path, capsys):
+    path = tmp_path / "thick.yaml"
+    path.write_text(robot_text("carosac").replace("diameter: 4 mm", "diameter: 3"))
+    assert main(["check", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert "is diameter in mm? A bare number is in metres" in captured.err
+    assert "front_left            3000      950" in captured.out
 
 
 def calibrated(path, names, **changes):

@@ -8,6 +8,7 @@ import pytest
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures import animation
 from carosac_toolkit.robot import file as robot_file
+from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import read_rows
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
@@ -118,6 +119,14 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     assert "against straight_line" in report and f"{pair['ratio']['value']:.2f}" in report
     assert "--trajectories line circle" in report
     assert all(escape(line, quote=False) in report for line in data["conclusions"])
+
+
+def test_a_robot_in_another_unit_is_asked_for_it_before_its_cases_run(capsys):
+    Path("thick.yaml").write_text(robot_text("carosac").replace("diameter: 4 mm", "diameter: 3"))
+    words = [*ALONE, "--robots", "thick.yaml", "--controllers", "straight_line"]
+    main(["compare", *words, "--sensors", "lengths"])
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.index("WARNING: carosac: all cables: diameter 3000 mm") < out.index("All rows")
 
 
 def test_broken_controllers_cost_their_own_cases_and_say_why(capsys):

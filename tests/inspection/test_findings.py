@@ -97,7 +97,7 @@ def test_a_point_in_millimetres_is_suspected():
     points = robot.exit_points.copy()
     points[1] *= 1000.0
     warning = report_robot(replace(robot, exit_points=points)).warnings[0]
-    assert "the exit point of cable cable2" in warning and "is its unit right?" in warning
+    assert "the exit point of cable cable2" in warning and "is it in mm?" in warning
     anchors = robot.anchor_points.copy()
     anchors[0] *= 1000.0
     warning = report_robot(replace(robot, anchor_points=anchors)).warnings[0]
@@ -130,7 +130,7 @@ def test_a_platform_upside_down_is_suspected():
 
 def test_an_anchor_point_inside_its_pulley_is_a_problem():
     report = report_robot(with_pulleys(simple_robot(), 9.0))
-    assert "has its anchor point inside its pulley of 9 m radius" in report.problems[0]
+    assert "inside its pulley of 9 m radius: is the radius in mm?" in report.problems[0]
 
 
 def test_parts_that_no_chain_uses_are_named():

@@ -14,7 +14,9 @@ import carosac_toolkit as ct
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.pictures import animation
 from carosac_toolkit.pictures.animation import animation_webp
+from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
 from carosac_toolkit.pictures.motions import motions_of
+from carosac_toolkit.pictures.style import CONTROLLER_NUMBERS, looks_by_name
 from carosac_toolkit.reports.study import check_animation, write_report
 from tests.studies.tables import bad, case, good, series
 
@@ -78,6 +80,16 @@ def test_colours_are_those_of_the_tensions(motions):
     np.testing.assert_allclose([low, middle, high], ends, atol=0.02)
     assert np.ptp(slack[:3]) < 0.1 and tuple(over[:3]) == (0.0, 0.0, 0.0)  # grey, black
     assert colors.slack_words() == "; grey: slack, below 5 N"
+
+
+def test_controllers_and_rest_look_as_in_the_other_pictures(results, motions):
+    stage = animation._Film(motions)._stage
+    looks = dict(zip(CONTROLLERS, looks_by_name(CONTROLLERS, CONTROLLER_NUMBERS), strict=True))
+    assert [panel.color for panel in stage._panels] == [looks[x].color for x in CONTROLLERS]
+    still = COMPARISON_PICTURES["error_over_time"](results).axes[0]
+    (here,), (there,) = stage._errors._axes.patches, still.patches
+    assert here.get_facecolor() == there.get_facecolor()
+    assert here.get_x() == pytest.approx(there.get_x(), abs=0.1)
 
 
 def test_each_cable_is_slack_below_its_own_limit():

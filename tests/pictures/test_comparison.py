@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
+from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES, in_both_regions
 from carosac_toolkit.pictures.paired import draw_paired
-from carosac_toolkit.pictures.style import MEASURED_COLOR, SERIES_COLORS
+from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
+    MEASURED_COLOR,
+    SERIES_COLORS,
+    looks_by_name,
+)
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.example_cases import examples_of
 from carosac_toolkit.studies.compare.paired import paired_blocks
@@ -56,8 +61,10 @@ def test_every_axis_has_a_unit(results):
 
 
 def test_colours_belong_to_the_row_of_the_table_whatever_failed(results):
+    names = [line["controller"] for line in results.summary]
+    looks = looks_by_name(names, CONTROLLER_NUMBERS)
     for axes in COMPARISON_PICTURES["error_over_time"](results).axes:
-        assert colours(axes) == {SERIES_COLORS[0], SERIES_COLORS[2]}
+        assert colours(axes) == {looks[0].color, looks[2].color}
     for name in set(COMPARISON_PICTURES) - {"estimation"}:
         names = legend(COMPARISON_PICTURES[name](results))
         assert [x for x in names if x in SCALES] == list(SCALES), name
@@ -116,17 +123,21 @@ def test_marks_of_regions_are_as_high_as_the_table_says(results):
     assert drawn == pytest.approx(expected)
 
 
-def test_a_region_without_a_case_has_no_place_and_no_mark_is_cut():
+def test_one_region_alone_is_not_drawn_and_no_mark_is_cut(results, tmp_path):
     rows = [good(case(name, seed), (scale, scale, scale)) for name, scale in SCALES.items()
             for seed in range(2)]  # fmt: skip
+    assert in_both_regions(study(rows))
     for row in rows:
         row["tracking_boundary_m"], row["centre_steps"] = None, row["steps"]
-    figure = COMPARISON_PICTURES["regions"](study(rows))
-    axes = laid_out(figure).axes[0]
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["centre"]
-    assert "no path came to the boundary" in figure.get_suptitle().replace("\n", " ")
-    for line in axes.lines:
-        mark = line.get_transform().transform(line.get_xydata())
+    alone = study(rows, tmp_path)
+    assert not in_both_regions(alone)
+    assert "regions" not in {file.stem for file in write_report(alone, [], ["carosac"])}
+    figure = laid_out(COMPARISON_PICTURES["regions"](results))
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["centre", "boundary"]
+    for line in axes.lines[: len(results.summary)]:
+        known = line.get_xydata()[np.isfinite(line.get_ydata().astype(float))]
+        mark = line.get_transform().transform(known)
         half = line.get_markersize() / 72.0 * figure.dpi / 2.0
         assert (mark[:, 1] + half < axes.bbox.y1).all() and (mark[:, 1] > axes.bbox.y0).all()
 
@@ -159,7 +170,7 @@ def test_the_title_promises_intervals_only_where_there_are_any(seeds, said):
             for name, scale in SCALES.items() for seed in range(seeds)]  # fmt: skip
     results = study(rows)
     figure = draw_paired(paired_blocks(results))
-    assert said in figure.get_suptitle()
+    assert said in figure.get_suptitle() and "open" in figure.get_suptitle()
     intervals = [line for axes in figure.axes for line in axes.lines if line.get_linewidth() == 1.6]
     assert bool(intervals) == (said == "95 % interval")
 
@@ -181,10 +192,11 @@ def test_a_controller_that_diverged_has_a_curve_that_is_marked_and_scales_nothin
     both = study(rows)
     time = COMPARISON_PICTURES["error_over_time"](both)
     assert legend(time)[:2] == ["fine", "lost (diverged)"]
+    _, lost = looks_by_name(["fine", "lost"], CONTROLLER_NUMBERS)
     for axes in time.axes:
         assert max(map(abs, axes.get_ylim())) < 20.0  # mm, of the one that is fine
         crosses = [line for line in axes.lines if line.get_marker() == "x"]
-        assert len(crosses) == 1 and to_hex(crosses[0].get_color()) == SERIES_COLORS[1]
+        assert len(crosses) == 1 and to_hex(crosses[0].get_color()) == lost.color
         assert axes.get_ylim()[0] <= crosses[0].get_ydata()[0] <= axes.get_ylim()[1]
     paths = COMPARISON_PICTURES["paths"](both)
     assert "lost (diverged)" in legend(paths)

@@ -1,5 +1,6 @@
 """Colours, marks and sizes that all pictures share."""
 
+from importlib.metadata import entry_points
 from itertools import combinations
 
 import matplotlib as mpl
@@ -10,11 +11,14 @@ from matplotlib.colors import to_rgb
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import new_figure
 from carosac_toolkit.pictures.style import (
+    CONTROLLER_NUMBERS,
     MEASURED_COLOR,
+    MODEL_NUMBERS,
     SERIES_COLORS,
     SERIES_HATCHES,
     SERIES_LINES,
     SERIES_MARKERS,
+    looks_by_name,
     series,
     styled,
     using_style,
@@ -71,6 +75,32 @@ def test_series_differ_without_any_colour():
     for marks in (SERIES_LINES, SERIES_MARKERS, SERIES_HATCHES):
         assert len(set(marks)) == len(SERIES_COLORS)
     assert series(len(SERIES_COLORS)) == series(0)
+
+
+def test_a_name_has_the_same_look_among_all_others():
+    numbers = CONTROLLER_NUMBERS
+    for names in (["td3", "kinematic_solver"], ["mine", "kinematic_solver", "mpc", "td3"]):
+        looks = dict(zip(names, looks_by_name(names, numbers), strict=True))
+        assert all(looks[name] == series(numbers[name]) for name in names if name in numbers)
+
+
+def test_unknown_and_repeated_names_take_looks_that_are_free():
+    names = ["mine", "td3", "td3", "yours", *"abcd"]
+    colors = [look.color for look in looks_by_name(names, CONTROLLER_NUMBERS)]
+    assert len(set(colors)) == len(SERIES_COLORS)
+    known = {SERIES_COLORS[k] for k in CONTROLLER_NUMBERS.values()}
+    assert colors[0] not in known and colors[2] not in known
+    many = looks_by_name([*names, "e"], CONTROLLER_NUMBERS)
+    assert many[: len(names)] == looks_by_name(names, CONTROLLER_NUMBERS)
+
+
+@pytest.mark.parametrize(
+    ("group", "numbers"),
+    [("carosac.controllers", CONTROLLER_NUMBERS), ("carosac.estimators", MODEL_NUMBERS)],
+)
+def test_every_bundled_plug_in_has_a_number_of_its_own(group, numbers):
+    named = {one.name for one in entry_points(group=group) if one.dist.name == "carosac-toolkit"}
+    assert named == set(numbers) and len(set(numbers.values())) == len(numbers)
 
 
 def test_a_style_holds_whatever_matplotlib_is_set_to_and_changes_nothing():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.pictures.style import SERIES_COLORS
+from carosac_toolkit.pictures.style import MODEL_NUMBERS, looks_by_name
 from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 from carosac_toolkit.validation import validate
 from tests.validation.models import NAME
@@ -37,7 +37,8 @@ def test_models_keep_their_colours_where_one_of_them_failed(result):
         assert names == ["straight_line", "kinematic_solver", FAILING], name
     lines = VALIDATION_PICTURES["time_series"](result).axes[1].lines
     drawn = [to_hex(line.get_color()) for line in lines]
-    assert drawn[:3] == [SERIES_COLORS[0], SERIES_COLORS[2], SERIES_COLORS[3]]
+    looks = looks_by_name(list(result.models), MODEL_NUMBERS)
+    assert drawn[:3] == [looks[k].color for k in (0, 2, 3)]
 
 
 def test_rests_are_shaded_in_every_panel(result):

@@ -120,6 +120,17 @@ def test_a_misspelt_key_is_one_fault():
     assert "platform.masss: unknown key" in fault and "did you mean 'mass'" in fault
 
 
+def test_misspelt_sections_are_one_fault_each_whatever_follows_from_them():
+    text = changed("home:", "hom:", count=2)  # with its provenance, which has no such field then
+    text = text.replace("tension_limits:", "tension_limit:")
+    assert len(faults(text)) == 2
+    limits, home = faults(text)
+    assert limits.endswith("did you mean 'tension_limits'?")
+    assert home.endswith("did you mean 'home', which is missing?")
+    (unlike,) = faults(changed("\nprovenance:", "\nquux: 3 m\nprovenance:\n  quux: guessed"))
+    assert "quux: unknown key" in unlike
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -94,6 +94,32 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = 
     )
 
 
+DIRECTION_NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def main_directions(robot: Robot, rotation: Array, shape: Array) -> list[tuple[str, ...]]:
+    """Name the main direction of each mode: along x, y, z of W, or a turn about one of them.
+
+    It is the direction with the most kinetic energy of the platform, displacements taken at its
+    centre of mass.
+
+    Args:
+        robot: Robot description.
+        rotation: Rotation from P to W, shape (B, 3, 3).
+        shape: Columns are twists, `Modes.shape`, shape (B, 6, 6).
+
+    Returns:
+        Entries of `DIRECTION_NAMES`, one for each mode of a pose.
+    """
+    velocity, turn = shape[:, :3], shape[:, 3:]  # (B, 3, 6)
+    at_center = velocity + np.cross(turn, (rotation @ robot.center_of_mass)[..., None], axis=1)
+    inertia = np.einsum("bik,kl,bil->bi", rotation, robot.inertia, rotation)  # about axes of W
+    energy = np.concatenate(
+        [robot.mass * at_center**2, inertia[..., None] * turn**2], axis=1
+    )  # (B, 6, 6), twice of each direction and mode
+    return [tuple(DIRECTION_NAMES[k] for k in main) for main in energy.argmax(axis=1)]
+
+
 def natural_frequencies(
     robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = True
 ) -> Array:

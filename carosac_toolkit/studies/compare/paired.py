@@ -74,6 +74,7 @@ class PairedBlock:
         baseline: Label of what the others are compared with.
         seeds: Independent draws.
         trajectories: Number of trajectories of each seed.
+        final_rest: Time after the trajectory over which sway is taken [s]; None: not recorded.
         compared: In the order of the study.
     """
 
@@ -83,11 +84,14 @@ class PairedBlock:
     baseline: str
     seeds: int
     trajectories: int
+    final_rest: float | None
     compared: tuple[Compared, ...]
 
     def data(self) -> dict[str, Any]:
         """Return all numbers, for JSON."""
-        return vars(self) | {"compared": [one.data() for one in self.compared]}
+        numbers = vars(self) | {"compared": [one.data() for one in self.compared]}
+        numbers["final_rest_s"] = numbers.pop("final_rest")
+        return numbers
 
 
 def paired_blocks(results: StudyResults, baseline: str | None = None) -> list[PairedBlock]:
@@ -167,6 +171,7 @@ def _block(
         baseline=labels[base],
         seeds=len({row["seed"] for row in first}),
         trajectories=len({row["trajectory"] for row in first}),
+        final_rest=results.summary[base]["final_rest_s"],
         compared=tuple(compared),
     )
 

@@ -16,6 +16,7 @@ from carosac_toolkit.studies.compare.resampling import (
     smallest_p,
 )
 from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS
+from carosac_toolkit.studies.compare.terminal_table import after_the_end
 from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 
 QUANTITY_TITLES = {
@@ -69,16 +70,17 @@ def explanation(blocks: Sequence[PairedBlock]) -> str:
     seeds = min(block.seeds for block in blocks)
     text = (
         "Errors are RMSEs of a case in norm. Typical: median over the seeds of each path, mean "
-        f"over the paths; in brackets its {percent} interval. Sway is the RMS swing in the 3 s "
-        "after the end. Centre: the reference is in the middle half of each side of the workspace "
-        "box; boundary: it is not. Latency is that of estimator and controller, per cycle: median "
-        "over the cases of median, 95th and 99th percentile. Differences are paired: same plant, "
-        "path and noise, minus the baseline, over the cases that both solved; ratio: of the "
-        "typical errors in the same cases. Won: cases with the smaller error; a case that failed "
-        "is lost. Intervals: cluster bootstrap over the seeds, expanded percentiles. p: two-sided, "
-        "of cases won against lost, paired permutation test over seeds, Holm-corrected for all "
-        "comparisons of the same error in a table. Bold: smallest, and better than each of the "
-        "others: all intervals of its paired differences exclude zero, and the corrected p is "
+        f"over the paths; in brackets its {percent} interval. Sway is the RMS swing "
+        f"{after_the_end(block.final_rest for block in blocks)}. Centre: the reference is in "
+        "the middle half of each side of the workspace box; boundary: it is not. Latency is that "
+        "of estimator and controller, per cycle: median over the cases of median, 95th and 99th "
+        "percentile. Differences are paired: same plant, path and noise, minus the baseline, over "
+        "the cases that both solved; ratio: of the typical errors in the same cases. Won: cases "
+        "with the smaller error; a case that failed is lost. Intervals: cluster bootstrap over "
+        "the seeds, expanded percentiles. p: two-sided, of cases won against lost, paired "
+        "permutation test over seeds, Holm-corrected for all comparisons of the same error in a "
+        "table. Bold: smallest, and better than each of the others: all intervals of its paired "
+        "differences exclude zero, and the corrected p is "
         f"at most {SIGNIFICANCE_LEVEL:g}."
     )
     if seeds < INTERVAL_SEEDS_MIN:

@@ -40,7 +40,7 @@ PAIR_COLUMNS = (
 )  # with robot and perturbation: the same plant on the same path
 COLUMN_TITLES = {"perturbation": "condition"}  # where a reader knows it by another word
 AXIS_NAMES = ("x", "y", "z", "norm")
-ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m")
+ROBOT_COLUMNS = ("tension_limit_low_N", "tension_limit_high_N", "winch_reach_m", "final_rest_s")
 _NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 

@@ -42,6 +42,13 @@ ADVICE = {
     "length_rate": "the feed-forward rate was above the speed of a winch: {slower}",
     "coordination": "cables were held back to stay with the others",
 }
+DIVERGED_MEANING = (
+    "A case diverged if the platform left the workspace box, or for over half a sway period in one "
+    "piece was not held, not known or far from its reference; cables that are slack for shorter "
+    "pieces are scored. A mean beside (1 of 2) leaves such cases out, often the hardest: compare "
+    "rows by the cases that both solved, as the report does. To keep the platform held, {slower}, "
+    "or stay farther from the edge of the workspace."
+)
 WINCH_LIMITS = ("speed", "acceleration", "length_rate")  # which `path_feasibility` judges too
 CORRECTIONS_ADVICE = (
     "the paths alone stay within the limits of the winches, so slower paths help little. What is "
@@ -108,23 +115,28 @@ def _diverged(results: StudyResults) -> Iterator[str]:
             f"{label} diverged in {line['diverged']} of {line['cases']} cases, which have no score "
             f"and count in no mean: {reason}."
         )
+    if any(line["diverged"] for line in results.summary):
+        yield DIVERGED_MEANING.format(slower=_remedies(results)["slower"])
 
 
 def _limited(results: StudyResults, least: float = LIMITED_SHARE_MIN) -> Iterator[str]:
-    """Tell whose commands were limited, by what, and what to do, once for each limit."""
+    """Tell whose commands were limited, by what, and what to do, once for each advice."""
     by_limit: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for label, line in _lines(results, lambda line: (line["limited_share"] or 0.0) > least):
         name = main_limit(line)
         if name is not None:
             by_limit.setdefault(name, []).append((label, line))
+    causes: dict[str, list[str]] = {}
     for name, members in by_limit.items():
         each = ", ".join(f"{label} {percent(line['limited_share'])}" for label, line in members)
         reach = max((line["winch_reach_m"] or 0.0 for _, line in members), default=0.0)
         advice = _advice(results, name, members).format(reach=plain(reach, 2))
+        causes.setdefault(advice, []).append(f"mostly by {name} ({each} of the commands)")
+    if causes:
+        told = "; ".join(f"{' or '.join(each)}: {advice}" for advice, each in causes.items())
         yield (
-            f"Commands were changed by limits before they reached the winches, mostly by {name} "
-            f"({each} of the commands): {advice}. Such rows describe the limit as much as the "
-            "controller."
+            f"Commands were changed by limits before they reached the winches, {told}. Such rows "
+            "describe the limit as much as the controller."
         )
 
 
@@ -134,15 +146,19 @@ def _advice(results: StudyResults, name: str, members: Sequence[tuple[str, dict[
     judged = [one for one in results.feasibility if one.robot in robots]
     if name in WINCH_LIMITS and judged and not any(one.infeasible for one in judged):
         return CORRECTIONS_ADVICE
+    advice = ADVICE.get(name, "see driver.limits")
+    for key, text in _remedies(results).items():
+        advice = advice.replace(f"{{{key}}}", text)
+    return advice
+
+
+def _remedies(results: StudyResults) -> dict[str, str]:
+    """Say how paths are made slower and gentler: by options, or in their files."""
     drawn = any(not is_path_file(str(row["trajectory"])) for row in results.rows)
-    words = {
+    return {
         "slower": "lower --speed" if drawn else "slow the path down",
         "gentler": "lower --acceleration" if drawn else "smooth or slow the path down",
     }
-    advice = ADVICE.get(name, "see driver.limits")
-    for key, text in words.items():
-        advice = advice.replace(f"{{{key}}}", text)
-    return advice
 
 
 def _tensions(results: StudyResults) -> Iterator[str]:

@@ -10,8 +10,10 @@ from carosac_toolkit.base.tables import Rows, counted
 from carosac_toolkit.studies.compare.names import named_labels, robot_names
 from carosac_toolkit.studies.compare.results import AXIS_NAMES, COLUMN_TITLES, StudyResults
 from carosac_toolkit.studies.compare.terminal_table import (
+    after_the_end,
     cases,
     limited,
+    mean_tracking,
     percent,
     tension_range,
 )
@@ -20,8 +22,8 @@ ERROR_TABLE_CAPTION = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
-    "p95: its 95th percentile; turn: RMSE of the estimated orientation in mrad; sway: RMS in the "
-    "3 s after the end; tension: least to largest of any cable in N; slack, overload, outside: "
+    "p95: its 95th percentile; turn: RMSE of the estimated orientation in mrad; sway: RMS "
+    "{after_the_end}; tension: least to largest of any cable in N; slack, overload, outside: "
     "share of time with a cable below tension_min, above tension_max, with the platform outside "
     "the workspace box; limited: share of commands that a limit changed; cases: those that "
     "diverged or failed have no score; cycle: latency of estimator and controller, 95th percentile."
@@ -49,7 +51,9 @@ def header(results: StudyResults) -> tuple[str, ...]:
 
 def units(results: StudyResults) -> str:
     """Explain the columns."""
-    return ERROR_TABLE_CAPTION + (CONSISTENCY_CAPTION if _consistency_columns(results) else "")
+    end = after_the_end(line["final_rest_s"] for line in results.summary)
+    consistency = CONSISTENCY_CAPTION if _consistency_columns(results) else ""
+    return ERROR_TABLE_CAPTION.format(after_the_end=end) + consistency
 
 
 def rows(results: StudyResults) -> Rows:
@@ -110,13 +114,14 @@ def _cells(line: dict[str, Any]) -> list[str]:
     """Return the numbers of one group."""
     tracking, turn = line["tracking_rmse_m"], line["orientation_rmse_rad"]
     lengths = [
-        *(tracking[axis] for axis in AXIS_NAMES), line["tracking_std_m"], line["tracking_centre_m"],
+        line["tracking_std_m"], line["tracking_centre_m"],
         line["tracking_boundary_m"], line["estimation_rmse_m"]["norm"], line["estimation_p95_m"],
         turn, line["residual_sway_m"],
     ]  # fmt: skip
     shares = [percent(line[f"{name}_share"]) for name in ("slack", "overload", "outside")]
     latency = line["latency_p95_s"]
     return [
+        *(_millimetres(tracking[axis]) for axis in AXIS_NAMES[:-1]), mean_tracking(line),
         *map(_millimetres, lengths), tension_range(line), *shares, limited(line), cases(line),
         "-" if latency is None else f"{latency * 1e3:.2f}",
     ]  # fmt: skip

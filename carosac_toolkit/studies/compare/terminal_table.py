@@ -6,7 +6,7 @@ report has; names are never cut.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from carosac_toolkit.base.numbers import plain
@@ -74,7 +74,7 @@ def terminal_table(results: StudyResults, width: int) -> str:
 
 
 def caption(results: StudyResults, width: int) -> str:
-    """Explain the columns shown, and name estimator and sensors of all rows."""
+    """Explain the columns shown, name those left out, and estimator and sensors of all rows."""
     titles = {title for title, _ in shown_names(results)}
     shared = [
         f"{name} {_short(name, results)[0]}" for name in ("estimator", "sensors")
@@ -83,7 +83,13 @@ def caption(results: StudyResults, width: int) -> str:
     explained = [c for c in _fitting(results, width) if c.words]
     words = "; ".join(f"{c.title.split(' [')[0]}: {c.words}" for c in explained)
     start = f"All rows: {', '.join(shared)}. " if shared else ""
-    return f"{start}{words[0].upper()}{words[1:]}."
+    shown = {c.title for c in _fitting(results, width)}
+    missing = [
+        c.title.split(" [")[0] for c in _columns(results)
+        if not {c.title, c.abbreviated().title} & shown
+    ]  # fmt: skip
+    rest = f" Without room here, in the report: {', '.join(missing)}." if missing else ""
+    return f"{start}{words[0].upper()}{words[1:]}.{rest}"
 
 
 def shown_names(results: StudyResults) -> list[tuple[str, list[str]]]:
@@ -150,8 +156,7 @@ def _columns(results: StudyResults) -> list[_Column]:
     lost = "diverged or failed ones have no score" if any(map(_lost, results.summary)) else ""
     several = len({line["estimator"] for line in results.summary}) > 1
     columns = [
-        _Column("tracking", lambda x: millimetres(x["tracking_rmse_m"]["norm"]), 0,
-                "RMSE [mm]"),
+        _Column("tracking", mean_tracking, 0, "RMSE [mm]"),
         _Column("sway", lambda x: millimetres(x["residual_sway_m"]), 2 if several else 1,
                 "RMS after the end [mm]"),
         _Column("estimate", lambda x: millimetres(x["estimation_rmse_m"]["norm"]),
@@ -185,6 +190,21 @@ def _lost(line: Line) -> bool:
 
 def _cycle(line: Line) -> str:
     return "-" if line["latency_p95_s"] is None else f"{line['latency_p95_s'] * 1e3:.2f}"
+
+
+def mean_tracking(line: Line) -> str:
+    """Format the tracking error [mm], with the cases that it is over where some have no score."""
+    text, lost = millimetres(line["tracking_rmse_m"]["norm"]), line["failures"]
+    return f"{text} ({line['cases'] - lost} of {line['cases']})" if lost and text != "-" else text
+
+
+def after_the_end(times: Iterable[float | None]) -> str:
+    """Say over which times after the trajectory sway is taken, as far as they are known [s]."""
+    known = sorted({time for time in times if time is not None})
+    if not known:
+        return "after the end"
+    words = dict.fromkeys(plain(time, 2) for time in (known[0], known[-1]))
+    return f"in the {' to '.join(words)} s after the end"
 
 
 def tension_range(line: Line) -> str:

@@ -120,6 +120,7 @@ def run_case(case: Case) -> dict[str, Any]:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
     row |= own_words(controller) | {"path_moved_m": path.moved}
+    row["final_rest_s"] = None if recorded else final_rest(robot)
     row[DIVERGED] = divergence(log, robot, replayed=recorded)
     return row | {"series": example_series(case, log)}
 

@@ -92,7 +92,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
         cycles = max(1, round((rest + path.duration) / controller.period))
         alone = log.world(b, cycles)
         row = score(alone, robot, path.duration) | dict.fromkeys(LATENCY_COLUMNS)
-        row |= own_words(controller) | {"path_moved_m": path.moved}
+        row |= own_words(controller) | {"path_moved_m": path.moved, "final_rest_s": rest}
         row[DIVERGED] = divergence(alone, robot)
         rows.append(row | {"series": example_series(case, alone)})
     return rows

@@ -99,6 +99,24 @@ def test_an_unstable_pose_has_negative_frequencies():
         assert (modes.natural_frequencies(variant, equilibrium)[0, 0] > 0.0) == stable
 
 
+def test_a_pendulum_swings_along_x_and_y_turns_about_z_and_bounces_along_z():
+    robot = simple_robot(
+        exit_points=[[s, t, 8.0] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
+        anchor_points=[[0.5 * s, 0.5 * t, 0] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
+        home_position=np.array([0.0, 0.0, 2.0]), workspace_min=np.array([-1.0, -1.0, 1.0]),
+        workspace_max=np.array([1.0, 1.0, 4.0]),
+    )  # fmt: skip
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    found = modes.natural_modes(robot, rest)
+    (names,) = modes.main_directions(robot, rest.rotation, found.shape)
+    assert sorted(names) == sorted(modes.DIRECTION_NAMES)
+    bounce = found.frequency[0, names.index("z")]
+    stiffness = (robot.axial_stiffness / (rest.unstrained_length[0] + robot.run_length)).sum()
+    upright = (6.0 / np.sqrt(6.0**2 + 0.5)) ** 2  # share of the stiffness along z
+    expected = np.sqrt(stiffness * upright / robot.mass) / (2.0 * np.pi)
+    assert bounce == pytest.approx(expected, rel=0.02)
+
+
 def test_modes_diagonalise_mass_and_stiffness():
     robot = eight_cable_robot()
     equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])

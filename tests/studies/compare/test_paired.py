@@ -1,6 +1,7 @@
 """Blocks of paired comparisons, who is best beyond doubt, and tables for a paper."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from carosac_toolkit.studies.compare.paper_tables import (
     text_tables,
 )
 from carosac_toolkit.studies.compare.results import StudyResults
+from carosac_toolkit.studies.compare.tables import units
 
 SEEDS, PATHS = 8, 3
 
@@ -57,6 +59,20 @@ def test_tables_say_where_no_p_can_be_small_enough_after_holm(seeds, enough):
     p_values = [one.pairs["tracking"].p_holm for one in block.compared[1:]]
     assert (min(p_values) <= 0.05) is enough
     assert ("nothing can be significant" not in explanation([block])) is enough
+
+
+def test_sway_is_explained_by_the_time_that_the_robots_were_watched():
+    results = study({"a": 1.0, "b_b": 0.5})
+    assert "RMS swing after the end." in explanation(paired_blocks(results))  # of older rows
+    short, long = (
+        replace(results, rows=tuple(row | {"final_rest_s": time} for row in results.rows))
+        for time in (0.7134, 3.0)
+    )
+    assert "swing in the 0.71 s after the end." in explanation(paired_blocks(short))
+    assert "sway: RMS in the 0.71 s after the end;" in units(short)
+    both = [*paired_blocks(short), *paired_blocks(long)]
+    assert "swing in the 0.71 to 3 s after the end." in explanation(both)
+    assert both[0].data()["final_rest_s"] == 0.7134
 
 
 def test_the_baseline_is_the_first_or_the_one_asked_for():

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
+from carosac_toolkit.studies.compare.tables import name_columns
+from carosac_toolkit.studies.compare.tables import rows as table_rows
 from carosac_toolkit.studies.compare.terminal_table import caption, terminal_table
 from carosac_toolkit.studies.reference.results import read_rows
 from carosac_toolkit.studies.run.limit_scores import LIMIT_COLUMNS
@@ -23,6 +25,11 @@ LIMITED = {
     "limited": 44, "limited_by": json.dumps({"acceleration": 44, "jump": 40}),
     "limited_first": json.dumps({"jump": 43, "jerk": 1}),
 }  # fmt: skip
+
+FEASIBLE = PathFeasibility(
+    robot="carosac", robot_name="carosac", trajectory="circle", paths=2, infeasible=0, reason="",
+    time_scale=1.0, speed=0.1, acceleration=0.1,
+)  # fmt: skip
 
 
 def rows(name="a", error=0.01, **more):
@@ -47,19 +54,38 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
 
 def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():
     limited = LIMITED | {"limited_first": json.dumps({"speed": 44})}
-    calm = PathFeasibility(
-        robot="carosac", robot_name="carosac", trajectory="circle", paths=2, infeasible=0,
-        reason="", time_scale=1.0, speed=0.1, acceleration=0.1,
-    )  # fmt: skip
     results = study(rows("a", **limited))
-    fast = replace(calm, infeasible=1, reason="too fast", time_scale=0.5)
+    fast = replace(FEASIBLE, infeasible=1, reason="too fast", time_scale=0.5)
     (text,) = surprises(replace(results, feasibility=(fast,)))
     assert "lower --speed, or raise its speed_max" in text
-    (text,) = surprises(replace(results, feasibility=(calm,)))
+    (text,) = surprises(replace(results, feasibility=(FEASIBLE,)))
     assert "lower --speed" not in text and "slower paths help little" in text
     own = [row | {"trajectory": "my.csv"} for row in rows("a", **limited)]
     (text,) = surprises(replace(study(own), feasibility=(fast,)))
     assert "slow the path down" in text and "--speed" not in text
+
+
+def test_limits_with_the_same_advice_are_told_in_one_paragraph():
+    speed, acceleration = (
+        {"limited": 44, "limited_by": f'{{"{x}": 44}}', "limited_first": f'{{"{x}": 44}}'}
+        for x in ("speed", "acceleration")
+    )
+    runs = [*rows("a", **speed), *rows("b", 0.02, **acceleration)]
+    (both,) = surprises(replace(study(runs), feasibility=(FEASIBLE,)))
+    assert "mostly by speed (a 44 % of the commands) or mostly by acceleration (b 44 %" in both
+    assert both.count("so slower paths help little") == 1
+    (apart,) = surprises(study(runs))
+    assert "lower --speed" in apart and "lower --acceleration" in apart
+
+
+def test_the_terminal_says_which_columns_have_no_room():
+    runs = rows("a", residual_sway_m=0.01, latency_p95_s=1e-3)
+    assert "Without room" not in caption(study(runs), 200)
+    text = caption(study(runs), 60)
+    assert "Without room here, in the report: " in text
+    named = text.rpartition("report: ")[2].rstrip(".").split(", ")
+    assert "cycle" in named
+    assert not set(named) & set(terminal_table(study(runs), 60).splitlines()[0].split())
 
 
 def test_slack_and_overloaded_cables_are_told_with_the_limits():
@@ -107,10 +133,21 @@ def test_diverged_cases_are_counted_told_and_in_no_mean():
     assert line["diverged"] == line["failures"] == 1 and line["tracking_rmse_m"]["norm"] < 0.02
     assert line["tension_min_N"] == 1.0
     assert "diverged 1 of 3" in terminal_table(results, 100)
-    assert surprises(results)[0] == (
+    told, meaning = surprises(results)[:2]
+    assert told == (
         "b diverged in 1 of 3 cases, which have no score and count in no mean: the platform left "
         "the box."
     )
+    assert "lower --speed" in meaning and "compare rows by the cases that both solved" in meaning
+
+
+def test_a_mean_over_some_of_the_cases_says_over_how_many():
+    lost = bad(case("b", 2), "the platform left the box", "diverged") | CALM | {"steps": 100}
+    results = study([*rows("a"), *rows("b"), lost])
+    whole, part = terminal_table(results, 100).splitlines()[2:4]
+    assert "10.5 (2 of 3)" in part and "10.5  " in whole
+    (text,) = [row[name_columns(results) + 3] for row in table_rows(results) if row[0] == "b"]
+    assert text == "10.5 (2 of 3)"
 
 
 def test_identical_rows_are_told_with_the_remark_of_the_controller():
