@@ -11,6 +11,7 @@ from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.structure import constrained_motion, structure_matrix
 from carosac_toolkit.robot.robot import Robot
 
+RATE_STEP_SHARE = 1e-4  # of the time in which a cable's length falls, for differences
 NEWTON_STEPS_MAX = 12
 LENGTH_TOLERANCE_SHARE = 1e-10  # of a length: a smaller difference needs no further Newton step
 
@@ -71,6 +72,46 @@ def twists_on_rates(
     jacobian, along = _cable_motion(robot, position, rotation, length)
     missing = rate - np.einsum("bij,bj->bi", jacobian, twist)
     return np.asarray(twist + np.einsum("bij,bj->bi", along, missing))
+
+
+def pull_of_held_cables(
+    robot: Robot, position: Array, rotation: Array, twist: Array
+) -> tuple[Array, Array]:
+    r"""Return the tensions with which straight cables keep their lengths in motion.
+
+    They give the platform the acceleration that its twist asks for,
+
+    .. math:: M \dot\xi + h = w + A f, \qquad A^\top \dot\xi + \dot A^\top \xi = 0,
+
+    with the weight w and the gyroscopic wrench h. Cables have no mass.
+
+    Args:
+        robot: Robot description, n cables, at most six.
+        position: Platform origins in W [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+        twist: Linear first, in W, at the origin, shape (B, 6), along which no length changes.
+
+    Returns:
+        Tensions [N], shape (B, n), and accelerations, shape (B, 6).
+    """
+    mass = mass_matrix(robot, rotation)
+    center, omega = rotation @ robot.center_of_mass, twist[:, 3:]
+    inertia = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
+    force = -robot.mass * np.cross(omega, np.cross(omega, center))
+    force[:, 2] -= robot.weight
+    moment = np.cross(center, force) - np.cross(omega, np.einsum("bij,bj->bi", inertia, omega))
+    wrench = np.concatenate([force, moment], axis=1)
+    reach = float(straight_length(robot, position, rotation).length.mean())
+    step = RATE_STEP_SHARE * float(np.sqrt(reach / robot.gravity))
+    steps = [moved_poses(position, rotation, side * step * twist) for side in (-1.0, 1.0)]
+    before, after = (structure_matrix(robot, *pose) for pose in steps)
+    turning = np.einsum("bij,bi->bj", (after - before) / (2.0 * step), twist)
+    structure = structure_matrix(robot, position, rotation)
+    free = np.linalg.solve(mass, wrench[:, :, None])[:, :, 0]
+    along = np.linalg.solve(mass, structure)
+    missing = -turning - np.einsum("bij,bi->bj", structure, free)
+    tension = np.linalg.solve(structure.swapaxes(1, 2) @ along, missing[:, :, None])[:, :, 0]
+    return tension, free + np.einsum("bij,bj->bi", along, tension)
 
 
 def _cable_motion(
