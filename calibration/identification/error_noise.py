@@ -8,7 +8,9 @@ use the data better, but explains a mistuned mode of the robot as noise just as 
 
 Of many recordings every error counts, and alike on all axes: how their sums scatter from recording
 to recording tells afterwards what they are worth. To take an error that lasts, or one axis, for
-noise while the search goes on would hide just what the parameters have yet to explain.
+noise while the search goes on would hide just what the parameters have yet to explain. One
+recording may be worse than the others, as a cable vibrated or hung loose in it: beyond a limit it
+tells its own noise, and counts for as much less.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
 RUNS_APART_MIN = 10  # recordings from which on their own scatter tells how large errors are
 MANY_SIGMA_SHARE = 0.02  # of the least sigma, where many recordings tell it
 LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
+RUN_COST_MAX = 1.5  # of an error, beyond which a recording has noise of its own
 HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
 
@@ -37,19 +40,30 @@ class PoseErrorNoise:
     Attributes:
         sigma: Positions [m], then rotations [rad], shape (6,).
         repeats: Samples for which one error of each counts, shape (6,).
+        apart: True if runs are many, so that one may have noise of its own.
     """
 
     sigma: Array
     repeats: Array
+    apart: bool = False
 
     def weights(self, errors: Array) -> Array:
         """Return the inverse variance of errors (K, 6), less where they are large; same shape."""
-        shares, _ = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
-        return np.asarray(shares / (self.sigma**2 * self.repeats))
+        shares, loss = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        weights = shares / (self.sigma**2 * self.repeats)
+        if self.apart:
+            weights *= min(1.0, RUN_COST_MAX * errors.size / max(self._sum(loss), 1e-12))
+        return np.asarray(weights)
 
     def cost(self, errors: Array) -> float:
         """Return the cost whose derivative, up to a factor 1/2, the weighted errors are."""
         _, loss = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        cost, limit = self._sum(loss), RUN_COST_MAX * errors.size
+        if self.apart and cost > limit:
+            return limit * (1.0 + float(np.log(cost / limit)))
+        return cost
+
+    def _sum(self, loss: Array) -> float:
         return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
 
@@ -62,7 +76,7 @@ def estimate_noise(errors: Sequence[Array]) -> PoseErrorNoise:
     if len(errors) >= RUNS_APART_MIN:
         pooled = np.repeat(np.sqrt((sigma.reshape(2, 3) ** 2).mean(axis=1)), 3)
         return PoseErrorNoise(
-            sigma=np.maximum(MANY_SIGMA_SHARE * SIGMA_MIN, pooled), repeats=np.ones(6)
+            sigma=np.maximum(MANY_SIGMA_SHARE * SIGMA_MIN, pooled), repeats=np.ones(6), apart=True
         )
     return PoseErrorNoise(
         sigma=np.maximum(SIGMA_MIN, sigma),

@@ -21,6 +21,7 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
@@ -44,7 +45,11 @@ CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing sho
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
-SLID_GAIN_MIN = 1.0  # squared sigmas by which another direction of sliding must fit better
+START_STRETCHES = (1.0, 0.4, 0.1)  # of a step of the starts alone, of which the best is taken
+STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
+# What damps vibrations of cables alone: where only the sway is seen it stays as known before. A fit
+# would rather damp those of its own start with it.
+UNSEEN_FIELDS = ("axial_damping",)
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -120,6 +125,9 @@ class Fitter:
         )
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
+        if self._sways:  # vibrations are not seen
+            unseen = [field_of(name) in UNSEEN_FIELDS for name in unknowns.prior.names]
+            self._searched[: self._count] &= ~np.array(unseen)
 
     def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
@@ -135,10 +143,9 @@ class Fitter:
         whole = self._runs
         for share in SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES:
             self._runs = tuple(run.first(share) for run in whole)
+            if self._sways and share == POSE_SHARES[0]:
+                at = self._started(at)
             state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
-            at = state.at
-        if self._sways and (slid := self._slid_otherwise(state)) is not None:
-            state = self._settle(slid, None, report)
             at = state.at
         noise = estimate_noise(state.errors)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
@@ -161,8 +168,12 @@ class Fitter:
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
-        self._runs = tuple(run.first(1.0) for run in self._runs)
-        state = self._settle(self._first, None, lambda poses, position, rotation: None)
+        whole, at = self._runs, self._first
+        if self._sways:
+            self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
+            at = self._started(at)
+        self._runs = tuple(run.first(1.0) for run in whole)
+        state = self._settle(at, None, lambda poses, position, rotation: None)
         return self._starts(state.at)
 
     def _starts(self, at: Array) -> tuple[Array, ...]:
@@ -306,9 +317,10 @@ class Fitter:
         With `starts` those by the robot are left at 0.
 
         Coarse ones come from longer time steps: half the work, and the same within a percent or so.
-        That leads to where the search ends within a sigma, and exact ones lead to its end.
+        That leads to where the search ends within a sigma, and exact ones lead to its end. Where
+        steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         """
-        time_step = (COARSE_STEP_RATIO if coarse else 1.0) * self._time_step
+        time_step = (COARSE_STEP_RATIO if coarse and not self._sways else 1.0) * self._time_step
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         varied = [own[searched[own]] for own in self._own]
@@ -403,6 +415,19 @@ class Fitter:
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
+    def _started(self, at: Array) -> Array:
+        """Let each run start as suits the robot, before that is searched.
+
+        Runs start some time before their first pose, of which a first guess is rough.
+        """
+        errors = self._errors_at(at)
+        for _ in range(STARTS_STEPS_MAX):
+            before = at
+            at, errors = self._restarted(at, errors, estimate_noise(errors))
+            if (at == before).all():
+                break
+        return at
+
     def _restarted(
         self, at: Array, errors: list[Array], noise: PoseErrorNoise
     ) -> tuple[Array, list[Array]]:
@@ -415,71 +440,19 @@ class Fitter:
         information, gradient = self._normal(at, errors, jacobians, noise)
         hessian = information + self._precision
         own = [rows[self._count :] for rows in self._own]
-        trial = at.copy()
+        trial = np.tile(at, (len(START_STRETCHES), 1))
         for rows in own:
-            trial[rows] -= np.linalg.solve(hessian[np.ix_(rows, rows)], gradient[rows])
-        trials, good = self._errors([trial[None]] * len(self._runs))
+            step = np.linalg.solve(hessian[np.ix_(rows, rows)], gradient[rows])
+            trial[:, rows] -= np.outer(START_STRETCHES, step)
+        trials, good = self._errors([trial] * len(self._runs))
         point, found = at.copy(), list(errors)
         for k, rows in enumerate(own):
-            before = noise.cost(errors[k]) + float(at[rows] @ at[rows])
-            if good[k][0] and noise.cost(trials[k][0]) + float(trial[rows] @ trial[rows]) < before:
-                point[rows], found[k] = trial[rows], trials[k][0]
+            lowest = noise.cost(errors[k]) + float(at[rows] @ at[rows])
+            for each, error, sound in zip(trial[:, rows], trials[k], good[k], strict=True):
+                cost = noise.cost(error) + float(each @ each)
+                if sound and cost < lowest:
+                    lowest, point[rows], found[k] = cost, each, error
         return point, found
-
-    def _slid_otherwise(self, state: _Search) -> Array | None:
-        """Let platforms slide in other directions before their start, where that fits better.
-
-        Dry friction remembers a direction: along the slope a search finds the nearest one only.
-        What it remembers shows at first, so that the first poses choose, and all of them judge.
-
-        Returns:
-            All coordinates, or None where no recording fits better.
-        """
-        at, whole, noise = state.at, self._runs, estimate_noise(state.errors)
-        self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
-        step = COARSE_STEP_RATIO * self._time_step
-        trials = []
-        for run, own in zip(self._runs, self._own, strict=True):
-            others = run.sway.slid_otherwise(at[own[self._count :]])
-            points = np.tile(at, (1 + len(others), 1))
-            points[1:, own[self._count :]] = others
-            trials.append(points)
-        errors, _ = self._simulated(trials, step)
-        slopes = self._jacobians(at, coarse=True, starts=True)
-        for points, found, slope, run, own in zip(
-            trials, errors, slopes, self._runs, self._own, strict=True
-        ):  # the displacement and the speed at the start follow, to first order
-            rows = own[self._count : self._count + len(run.sway.sigma)]
-            flat = slope[:, :, self._count : self._count + len(rows)].reshape(-1, len(rows))
-            for point, error in zip(points, found, strict=True):
-                weight = noise.weights(error).ravel()
-                hessian = flat.T @ (weight[:, None] * flat) + np.eye(len(rows))
-                pull = flat.T @ (weight * error.ravel()) + point[rows]
-                point[rows] -= np.linalg.solve(hessian, pull)
-        errors, good = self._simulated(trials, step)
-        best = at.copy()
-        for points, found, sound, own in zip(trials, errors, good, self._own, strict=True):
-            rows = own[self._count :]
-            costs = [
-                noise.cost(error) + float(point[rows] @ point[rows]) if fine else np.inf
-                for point, error, fine in zip(points, found, sound, strict=True)
-            ]
-            best[rows] = points[int(np.argmin(costs))][rows]
-        self._runs = whole
-        errors, good = self._errors([best[None]] * len(whole))
-        if not all(each.all() for each in good):
-            return None
-        tried, ends = self._restarted(best, [each[0] for each in errors], noise)
-        better = False
-        for before, after, own in zip(state.errors, ends, self._own, strict=True):
-            rows = own[self._count :]
-            gain = noise.cost(before) + float(at[rows] @ at[rows])
-            gain -= noise.cost(after) + float(tried[rows] @ tried[rows])
-            if gain > SLID_GAIN_MIN:
-                better = True
-            else:
-                tried[rows] = at[rows]
-        return tried if better else None
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
         """Return by how much a whole Gauss-Newton step would lower the cost."""
@@ -488,25 +461,28 @@ class Fitter:
 
     def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return a damped step."""
-        step = self._bounded(at, hessian + damping * np.diag(np.diag(hessian)), gradient)
-        longest = float(np.abs(step / self._sigma).max())
-        return np.asarray(step * min(1.0, STEP_MAX_SIGMAS / max(longest, STEP_MAX_SIGMAS)))
+        damped = hessian + damping * np.diag(np.diag(hessian))
+        return self._bounded(at, damped, gradient, STEP_MAX_SIGMAS * self._sigma)
 
-    def _bounded(self, at: Array, hessian: Array, gradient: Array) -> Array:
+    def _bounded(
+        self, at: Array, hessian: Array, gradient: Array, reach: Array | float = np.inf
+    ) -> Array:
         """Return the step to the least of a quadratic cost that keeps coordinates in their bounds.
 
-        Coordinates that would leave their bound stop there, one set after another, and the others
+        None moves by more than its `reach`.
+
+        Coordinates that would leave their bounds stop there, one set after another, and the others
         step as is best beside that.
         """
-        room = self._lower - at
+        lower, upper = np.maximum(self._lower - at, -reach), np.full(len(at), reach)
         step, free = np.zeros(len(at)), self._searched.copy()
         while free.any():
             pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
             step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], pull)
-            leaves = free & (step < room)
+            leaves = free & ((step < lower) | (step > upper))
             if not leaves.any():
                 break
-            step[leaves] = room[leaves]
+            step[leaves] = np.clip(step, lower, upper)[leaves]
             free &= ~leaves
         return step
 

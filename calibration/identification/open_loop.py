@@ -181,6 +181,8 @@ class _Drive:
     def of(cls, run: OpenLoopRun) -> _Drive:
         """Return the lengths of a run."""
         first = run.path.first
+        if run.start is not None and run.start.sway.begin is not None:
+            first = run.start.sway.begin
         seen = run.time - first
         when = _evenly(seen, LENGTH_GRID.of(Scales(run.robots[0]).ratios))
         return cls(
@@ -276,7 +278,6 @@ class _Starts:
         position: [m], shape (B, 3).
         rotation: From P to W, shape (B, 3, 3).
         twist: Shape (B, 6).
-        sliding: Twist before, shape (B, 6).
     """
 
     hangs: NDArray[np.bool_]
@@ -284,7 +285,6 @@ class _Starts:
     position: Array
     rotation: Array
     twist: Array
-    sliding: Array
 
     @classmethod
     def of(
@@ -301,7 +301,7 @@ class _Starts:
         if len(lengths) > 1:
             rate = (lengths[1] - lengths[0]) / (when[1] - when[0])
         position, rotation = rest.position.copy(), rest.rotation.copy()
-        twist, sliding = np.zeros((2, len(robots), 6))
+        twist = np.zeros((len(robots), 6))
         moves = np.zeros(len(robots), dtype=np.bool_)
         sways: list[FreeSway] = []
         coordinates: list[Array] = []
@@ -320,15 +320,12 @@ class _Starts:
                 coordinates += list(run.start.coordinates[hangs[own]])
         which = np.flatnonzero(moves)
         if len(which):
-            position[which], rotation[which], twist[which], sliding[which] = swaying_states(
+            position[which], rotation[which], twist[which] = swaying_states(
                 sways, [robots[int(b)] for b in which],
                 Pose(position=rest.position[which], rotation=rest.rotation[which]),
                 lengths[0, which], rate[which], coordinates,
             )  # fmt: skip
-        return cls(
-            hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist,
-            sliding=sliding,
-        )  # fmt: skip
+        return cls(hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist)
 
     def rows(self, which: NDArray[np.int64]) -> _Starts:
         """Return the starts of some worlds."""
@@ -338,7 +335,6 @@ class _Starts:
             position=self.position[which],
             rotation=self.rotation[which],
             twist=self.twist[which],
-            sliding=self.sliding[which],
         )
 
 
@@ -368,7 +364,6 @@ class _Worlds:
                 starts.rotation[worlds] if beside else None,
                 unstrained_length=self._lengths[0, worlds],
                 twist=starts.twist[worlds],
-                sliding=starts.sliding[worlds],
                 worlds=worlds,
             )
             self._ready[worlds] = True

@@ -27,7 +27,13 @@ from calibration.identification.result import (
     Samples,
     ScoredRange,
 )
-from calibration.identification.runs import FittedRun, slow_window
+from calibration.identification.runs import (
+    FittedRun,
+    is_locked,
+    slow_window,
+    time_before,
+    without_ringing,
+)
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import choose_coordinates
@@ -191,8 +197,16 @@ def _identify(
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
     windows = _windows(parts, robot, poses, rests)
+    early = max(
+        (
+            time_before(robot, rest)
+            for part, rest, window in zip(parts, rests, windows, strict=True)
+            if window and part.train is not None
+        ),
+        default=0.0,
+    )  # the same for all: recordings that are sampled alike are simulated together
     runs = [
-        _prepared(part, robot, each, chosen, path, rest, window)
+        _prepared(part, robot, each, chosen, path, rest, window, early)
         for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
     ]
     before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
@@ -210,14 +224,14 @@ def _identify(
     judged = _model_error(identified, runs, after)
     against_mean = _against_mean(robot, runs, after)
     scored = _scored(runs, before, after, "test")
-    fitted = _scored(runs, before, after, "train")
-    assert fitted is not None, "something was fitted"
+    trained_scores = _scored(runs, before, after, "train")
+    assert trained_scores is not None, "something was fitted"
     return Identification(
         before=robot,
         warnings=(*_warnings(fit, scored, against_mean), *_turned_body(runs, after)),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
-        train=fitted,
+        train=trained_scores,
         test=scored,
         runs=tuple(
             IdentifiedRun(
@@ -310,14 +324,21 @@ def _prepared(
     path: LengthPath,
     rest: Equilibrium,
     window: float,
+    early: float,
 ) -> _Run:
-    """Find how a recording begins, and what of it a fit sees, averaged over a window [s]."""
+    """Find how a recording begins, and what of it a fit sees, averaged over a window [s].
+
+    If winches are locked at first, it begins `early` seconds before its first pose.
+    """
+    before = 0.0
+    if window and is_locked(path, early):
+        poses, before = without_ringing(poses, window), early
     recording = part.recording
     first = first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
         poses.rotation,
     )  # fmt: skip
-    sway = find_sway(robot, rest, poses, moves=first.moves, vibrates=not window)
+    sway = find_sway(robot, rest, poses, moves=first.moves, before=before)
     fitted = FittedRun(
         path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
         window=window,

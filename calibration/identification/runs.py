@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
@@ -20,6 +21,13 @@ WINDOW_PERIODS = 3.0  # of the slowest vibration: Blackman's window leaves a tho
 SLOW_PERIODS_MAX = 1.5  # of the fastest sway in a window, which leaves nearly half of it
 WINDOW_POSES_MIN = 6  # poses in a window
 WINDOW_POSES_MAX = 40
+SWAY_DEGREE = 4  # of polynomials that follow a sway within a window, and no vibration
+RINGING_RATIO_MIN = 1.5  # of the scatter within later windows: more is vibration
+CALM_WINDOWS = 4  # in a row, half a window apart: vibrations have died out
+RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
+PERIODS_BEFORE = 0.5  # of the slowest sway
+LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
+LOCKED_TIMES = 11  # at which that is looked at
 COVERED_SHARE_MIN = 0.5  # of the weight of a window that poses must have
 
 
@@ -100,3 +108,61 @@ def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
     if window * slow > SLOW_PERIODS_MAX or window < WINDOW_POSES_MIN * step:
         return 0.0
     return float(window)
+
+
+def time_before(robot: Robot, rest: Equilibrium) -> float:
+    """Return how long before its first pose a recording with locked winches is simulated [s].
+
+    Dry friction remembers how a platform moved before. Half a sway leaves it what it remembers.
+    """
+    return PERIODS_BEFORE / float(natural_frequencies(robot, rest)[0, 0])
+
+
+def is_locked(path: LengthPath, duration: float) -> bool:
+    """Return True if winches hold still for some time [s] from the first reading on."""
+    lengths = path.at(path.first + duration * np.linspace(0.0, 1.0, LOCKED_TIMES))
+    return bool((np.ptp(lengths, axis=0) <= LOCKED_SHARE_MAX * np.abs(lengths[0])).all())
+
+
+def without_ringing(poses: MeasuredPoses, window: float) -> MeasuredPoses:
+    """Return the poses of a recording from when its vibrations have died out.
+
+    What kicks a platform shakes its cables too. While they vibrate they change the sway, in strong
+    swings by more than noise, and nothing at the start of a fit stands for them.
+
+    Args:
+        poses: Measured ones.
+        window: Over which errors are averaged [s].
+    """
+    begin, scatter = _scatter(poses, window)
+    if not len(begin):
+        return poses
+    first, last = poses.time[0], poses.time[-1]
+    latest = float(first + RINGING_SHARE_MAX * (last - first))
+    typical = np.median(scatter[len(begin) // 2 :], axis=0)
+    rings = np.asarray((scatter > RINGING_RATIO_MIN * typical).any(axis=1))
+    calm = [k for k in range(len(rings)) if not rings[k : k + CALM_WINDOWS].any()]
+    since = min(begin[calm[0]], latest) if calm else latest
+    return poses.rows(np.flatnonzero(poses.time >= since))
+
+
+def _scatter(poses: MeasuredPoses, window: float) -> tuple[Array, Array]:
+    """Return when windows begin [s] (K,), and how positions and rotations scatter in them (K, 2).
+
+    That is the mean square of what a polynomial leaves.
+    """
+    begins, scatters = [], []
+    begin = float(poses.time[0])
+    while begin + window <= poses.time[-1]:
+        rows = np.flatnonzero((poses.time >= begin) & (poses.time < begin + window))
+        if len(rows) >= WINDOW_POSES_MIN:
+            turn = poses.rotation[rows[0]].T @ poses.rotation[rows]
+            motion = np.hstack([poses.position[rows], Rotation.from_matrix(turn).as_rotvec()])
+            share = (poses.time[rows] - begin) / window
+            basis = np.vander(share, min(SWAY_DEGREE, len(rows) - 2) + 1)
+            left = motion - basis @ np.linalg.lstsq(basis, motion, rcond=None)[0]
+            square = (left**2).sum(axis=0) / (len(rows) - len(basis.T))
+            begins.append(begin)
+            scatters.append(square.reshape(2, 3).sum(axis=1))
+        begin += 0.5 * window
+    return np.array(begins), np.array(scatters).reshape(-1, 2)

@@ -3,14 +3,15 @@
 With n < 6 cables of constant lengths a platform still moves in 6 - n directions. How far it is from
 its equilibrium at the first sample, and how fast it moves there, are unknown beside the robot. A
 platform that moves also vibrates on its elastic cables: how far they are stretched beyond their
-lengths at rest, and how fast, is unknown too.
+lengths at rest, and how fast, is unknown too. Where only its sway is seen, it starts some time
+before, as it would hang on cables that do not vibrate: by its first pose dry friction then
+remembers what it should.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh, null_space
@@ -24,6 +25,7 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest.held_lengths import (
     moved_poses,
     poses_on_lengths,
+    pull_of_held_cables,
     twists_on_rates,
 )
 from carosac_toolkit.physics.rest.modes import mass_matrix, natural_frequencies
@@ -36,7 +38,7 @@ from carosac_toolkit.validation.phases import anchors_at
 
 REST_DISPLACEMENT_SIGMA = Scaled(0.01, "m", least=1e-3)  # of a platform that seems to rest
 MOVING_SIGMA_SHARE = 2.0  # of the first guess: prior sigma of a platform that moves
-SLIDING_SIGMA_SHARE = 2.0  # of the speed: prior sigma of what it may have been shortly before
+RATE_STEP_SHARE = 1e-3  # of the time in which a cable's length falls, for a difference
 STRETCH_SIGMA_SHARE = 2.0  # of the elongation at rest: prior sigma of a further one, in motion
 
 
@@ -45,8 +47,8 @@ class FreeSway:
     """Free directions of a platform at rest, m = 6 - n of them, none with six cables or more.
 
     The coordinates of a start are m displacements from the equilibrium and m speeds, and of a
-    platform that moves the elongations of its n cables beyond those at rest, their rates, and by
-    how much the m speeds were others before; each over its prior sigma. Their prior mean is 0.
+    platform that moves the elongations of its n cables beyond those at rest and their rates; each
+    over its prior sigma. Their prior mean is 0.
 
     Attributes:
         shape: Columns are twists (linear first, in W, at the origin) that move the fastest anchor
@@ -55,17 +57,17 @@ class FreeSway:
         sigma: Prior sigma of the displacements [m], then of the speeds [m/s], shape (2 m,).
         stretch_sigma: Prior sigma of the elongations [m], then of their rates [m/s], shape (2 n,);
             (0,) for a platform that seems to rest, or whose vibrations are not seen.
-        sliding_sigma: Prior sigma of the speeds before less those of the start [m/s], shape (m,);
-            (0,) for a platform that seems to rest.
-        guess: Coordinates from which a search begins, shape (3 m + 2 n,), (3 m,) or (2 m,).
+        guess: Coordinates from which a search begins, shape (2 m + 2 n,) or (2 m,).
+        begin: When the platform starts, before its first pose, on cables that do not vibrate [s];
+            None: at the first reading, on cables as long as at rest.
     """
 
     shape: Array
     frequency: Array
     sigma: Array
     stretch_sigma: Array
-    sliding_sigma: Array
     guess: Array
+    begin: float | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,7 +77,6 @@ class FreeSway:
             "speed": len(self.sigma) // 2,
             "elongation": len(self.stretch_sigma) // 2,
             "elongation_rate": len(self.stretch_sigma) // 2,
-            "sliding": len(self.sliding_sigma),
         }
         return tuple(f"start.{word}[{i}]" for word, count in words.items() for i in range(count))
 
@@ -92,24 +93,6 @@ class FreeSway:
         parts = np.split(self.stretch_sigma * coordinates[first:stop], 2)
         return parts[0], parts[1]
 
-    def sliding(self, coordinates: Array) -> Array:
-        """Return speeds before [m/s] along the free directions, shape (m,)."""
-        speed = self.values(coordinates)[1]
-        if not len(self.sliding_sigma):
-            return speed
-        return speed + self.sliding_sigma * coordinates[-len(self.sliding_sigma) :]
-
-    def slid_otherwise(self, coordinates: Array) -> Array:
-        """Return the same start after sliding in directions all around, shape (D, coordinates)."""
-        count = len(self.sliding_sigma)
-        if not count:
-            return np.zeros((0, len(coordinates)))
-        directions = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=count) if any(d)])
-        directions /= np.linalg.norm(directions, axis=1)[:, None]
-        others = np.tile(coordinates, (len(directions), 1))
-        others[:, -count:] = directions - self.values(coordinates)[1] / self.sliding_sigma
-        return others
-
 
 def find_sway(
     robot: Robot,
@@ -117,7 +100,7 @@ def find_sway(
     poses: MeasuredPoses,
     *,
     moves: bool,
-    vibrates: bool = True,
+    before: float = 0.0,
 ) -> FreeSway:
     """Find the free directions at rest, and guess the first motion from measured poses.
 
@@ -126,7 +109,8 @@ def find_sway(
         rest: Its equilibrium on the first lengths, B = 1.
         poses: Measured ones, from the start on.
         moves: True if the platform moves at first; otherwise the guess is rest.
-        vibrates: True if a platform that moves may vibrate on its elastic cables too.
+        before: Time from the start of a platform that moves to its first pose, where its
+            vibrations are not seen [s]; 0: it starts at its first reading, and may vibrate.
     """
     jacobian = -structure_matrix(robot, rest.position, rest.rotation)[0].T
     mass = mass_matrix(robot, rest.rotation, rest.unstrained_length)[0]
@@ -142,22 +126,24 @@ def find_sway(
     frequency = np.sqrt(np.abs(squared))
     floor = np.full(len(frequency), REST_DISPLACEMENT_SIGMA.of(Scales(robot).ratios))
     sigma = np.concatenate([floor, frequency * floor])
-    guess, stretch_sigma, sliding_sigma = np.zeros(len(sigma)), np.zeros(0), np.zeros(0)
+    guess, stretch_sigma = np.zeros(len(sigma)), np.zeros(0)
     if moves and len(frequency):
         first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
         guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
         swing = np.hypot(*np.split(guess / np.concatenate([np.ones_like(floor), frequency]), 2))
         reach = np.maximum(floor, MOVING_SIGMA_SHARE * swing.max())
         sigma = np.concatenate([reach, frequency * reach])
-        stretch_sigma = _stretch_sigma(robot, rest) if vibrates else stretch_sigma
-        sliding_sigma = SLIDING_SIGMA_SHARE * frequency * swing.max()
+        if before:
+            guess = _earlier(guess, frequency, before)
+        else:
+            stretch_sigma = _stretch_sigma(robot, rest)
     return FreeSway(
         shape=shape,
         frequency=frequency,
         sigma=sigma,
         stretch_sigma=stretch_sigma,
-        sliding_sigma=sliding_sigma,
-        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma) + len(sliding_sigma))]),
+        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma))]),
+        begin=float(poses.time[0]) - before if before else None,
     )
 
 
@@ -168,11 +154,12 @@ def swaying_states(
     length: Array,
     rate: Array,
     coordinates: Sequence[Array],
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Return where B robots start.
 
     Displaced platforms are moved on to where their straight cables are as long as at rest, or by
-    their elongation longer: a large swing alone does not stretch them.
+    their elongation longer: a large swing alone does not stretch them. Of those that start before
+    their first reading, cables are as much longer as the swing pulls at them.
 
     Args:
         sways: Their free directions.
@@ -183,15 +170,11 @@ def swaying_states(
         coordinates: Of each robot, as its sway has them.
 
     Returns:
-        Positions (B, 3) [m], rotations (B, 3, 3), twists (B, 6) of the origins in W, and those of
-        before, shape (B, 6).
+        Positions (B, 3) [m], rotations (B, 3, 3), and twists (B, 6) of the origins in W.
     """
     values = [sway.values(each) for sway, each in zip(sways, coordinates, strict=True)]
     move = np.array([sway.shape @ value[0] for sway, value in zip(sways, values, strict=True)])
     free = np.array([sway.shape @ value[1] for sway, value in zip(sways, values, strict=True)])
-    before = np.array([
-        sway.shape @ sway.sliding(each) for sway, each in zip(sways, coordinates, strict=True)
-    ])  # fmt: skip
     position, rotation = moved_poses(rest.position, rest.rotation, move)
     longer, faster = (
         np.array([
@@ -200,7 +183,7 @@ def swaying_states(
         ])
         for k in range(2)
     )  # fmt: skip
-    twist, sliding = np.empty_like(free), np.empty_like(free)
+    twist = np.empty_like(free)
     rows: dict[int, list[int]] = {}  # of each robot: its worlds are one batch
     for b, robot in enumerate(robots):
         rows.setdefault(id(robot), []).append(b)
@@ -213,10 +196,47 @@ def swaying_states(
             robot, position[own], rotation[own], length[own], rate[own] + faster[own],
             free[own],
         )  # fmt: skip
-        sliding[own] = twists_on_rates(
-            robot, position[own], rotation[own], length[own], rate[own], before[own]
-        )
-    return position, rotation, twist, sliding
+        calm = [b for b in own if sways[b].begin is not None]
+        if calm:
+            stretch, growth = _stretch_in_motion(
+                robot, Pose(position=rest.position[calm], rotation=rest.rotation[calm]),
+                Pose(position=position[calm], rotation=rotation[calm]), twist[calm], length[calm],
+            )  # fmt: skip
+            long = wanted[[own.index(b) for b in calm]] + stretch
+            position[calm], rotation[calm] = poses_on_lengths(
+                robot, position[calm], rotation[calm], long
+            )
+            twist[calm] = twists_on_rates(
+                robot, position[calm], rotation[calm], length[calm], rate[calm] + growth,
+                free[calm],
+            )  # fmt: skip
+    return position, rotation, twist
+
+
+def _stretch_in_motion(
+    robot: Robot, rest: Pose, pose: Pose, twist: Array, length: Array
+) -> tuple[Array, Array]:
+    """Return by how much a swing stretches cables beyond their rest [m], and how fast [m/s].
+
+    Both (B, n): what straight cables pull that keep their lengths, over their stiffness. A platform
+    that starts so hardly vibrates.
+    """
+    at_rest, _ = pull_of_held_cables(robot, rest.position, rest.rotation, np.zeros_like(twist))
+    pull, change = pull_of_held_cables(robot, pose.position, pose.rotation, twist)
+    step = RATE_STEP_SHARE * float(np.sqrt(length.mean() / robot.gravity))
+    there = moved_poses(pose.position, pose.rotation, step * twist)
+    later, _ = pull_of_held_cables(robot, *there, twist + step * change)
+    softness = (length + robot.run_length) / robot.axial_stiffness
+    return softness * (pull - at_rest), softness * (later - pull) / step
+
+
+def _earlier(state: Array, frequency: Array, time: float) -> Array:
+    """Return displacements and speeds (2 m,) of undamped modes [rad/s] some time [s] before."""
+    away, speed = np.split(state, 2)
+    cos, sin = np.cos(frequency * time), np.sin(frequency * time)
+    return np.concatenate([
+        away * cos - speed / frequency * sin, speed * cos + away * frequency * sin
+    ])  # fmt: skip
 
 
 def _stretch_sigma(robot: Robot, rest: Equilibrium) -> Array:

@@ -27,7 +27,7 @@ from carosac_toolkit.robot.parameters import turn_between, values_of, with_value
 from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
-INVERSE_SHARE_MIN = 0.25  # least share of itself that 1 / EA is left in a step
+STEP_SHARE_MIN = 0.25  # least share of itself that a step leaves of a factor, or of 1 / EA
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
 _FACTOR_FIELDS = (
     "mass",
@@ -101,15 +101,14 @@ class Coordinates:
     def moved(self, at: Array, step: Array) -> Array:
         """Return coordinates after a step to first order, shape (k,).
 
-        A cable stretches by the inverse of its EA, so a step of EA is one of that inverse: along it
-        the motion changes in proportion, which it does not along the logarithm.
+        Motion changes in proportion to what is a factor, or, as cables stretch by the inverse of
+        their EA, to its inverse. Along logarithms it does not: a step is one of what it is
+        proportional to.
         """
-        moved = at + step
-        for i, name in enumerate(self.prior.names):
-            if field_of(name) == "axial_stiffness":
-                share = max(1.0 - self.scale[i] * step[i], INVERSE_SHARE_MIN)
-                moved[i] = at[i] - np.log(share) / self.scale[i]
-        return moved
+        inverse = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
+        sign = np.where(inverse, -1.0, 1.0)
+        share = np.maximum(1.0 + sign * self.scale * step, STEP_SHARE_MIN)
+        return np.where(self.factor > 0.0, at + sign * np.log(share) / self.scale, at + step)
 
     def _lengthening(self, name: str, values: Array) -> float:
         """Return by which factor the cable of an EA becomes longer with its run."""

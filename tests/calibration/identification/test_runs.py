@@ -9,23 +9,31 @@ import pytest
 
 import carosac_toolkit as ct
 from benchmarks.calibration_oscillations import SURVEYED, draw_plant, robot_with_pulleys
+from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
-from calibration.identification.measured_poses import poses_of
+from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.open_loop import (
     OpenLoopRun,
     OpenLoopStart,
     first_equilibrium,
     simulate_runs,
 )
-from calibration.identification.runs import FittedRun, slow_window
+from calibration.identification.runs import (
+    FittedRun,
+    is_locked,
+    slow_window,
+    time_before,
+    without_ringing,
+)
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.sway import find_sway
+from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.scales import Scales
@@ -33,6 +41,7 @@ from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import values_of
+from sim_warp import Simulator
 from tests.robots import eight_cable_robot
 
 RATE = 100.0
@@ -58,7 +67,7 @@ def prepared(robot, recording):
         path=path,
         poses=poses,
         rate=10.0,
-        sway=find_sway(robot, rest, poses, moves=True, vibrates=False),
+        sway=find_sway(robot, rest, poses, moves=True, before=time_before(robot, rest)),
         window=slow_window(robot, rest, poses.time),
     )
 
@@ -172,12 +181,67 @@ def test_nothing_to_search_needs_no_derivatives():
     assert all(len(start) == 0 for start in fitter.starts())
 
 
-def test_sliding_otherwise_is_in_every_direction_and_nothing_else(runs):
-    sway, start = runs[0].sway, runs[0].sway.guess + 0.1
-    others = sway.slid_otherwise(start)
-    speeds = np.array([sway.sliding(each) / sway.sliding_sigma for each in others])
-    assert np.linalg.norm(speeds, axis=1) == pytest.approx(np.ones(len(others)))
-    apart = np.linalg.norm(speeds[:, None] - speeds, axis=2) + 9.0 * np.eye(len(speeds))
-    assert 0.4 < apart.min() and apart.min(axis=1).max() < 0.8  # no gap
-    count = len(sway.sliding_sigma)
-    assert (others[:, :-count] == start[:-count]).all()
+def test_poses_begin_where_a_vibration_is_lost_in_noise():
+    rng, time = np.random.default_rng(0), np.arange(0.0, 10.0, 0.01)
+    sway = 0.1 * np.sin(2.0 * np.pi * 0.6 * time)
+    ringing = 5e-3 * np.exp(-time / 1.0) * np.sin(2.0 * np.pi * 6.0 * time)  # 1 mm after 1.6 s
+
+    def begins(motion):
+        poses = MeasuredPoses(
+            time=time,
+            position=motion[:, None] + 1e-3 * rng.standard_normal((len(time), 3)),
+            rotation=np.tile(np.eye(3), (len(time), 1, 1)),
+            index=np.arange(len(time)),
+        )
+        return without_ringing(poses, 0.5).time[0]
+
+    assert begins(sway) == 0.0
+    assert 1.0 < begins(sway + ringing) < 3.0
+    assert begins(sway + 5e-3 * np.sin(2.0 * np.pi * 6.0 * time)) == 0.0  # always: no less later
+
+
+def test_winches_that_move_at_first_are_not_locked(runs):
+    path = runs[0].path
+    assert is_locked(path, 0.8)
+    time = np.arange(0.0, 2.0, 0.01)
+    wound = 5.0 + np.outer(0.1 * time, np.ones(3))
+    moving = LengthPath(Recording(time=time, unstrained_length=wound))
+    assert not is_locked(moving, 0.8)
+    assert is_locked(moving, 0.01)
+
+
+def test_a_platform_that_starts_before_its_first_pose_hardly_vibrates(plant, runs):
+    """Of the swing's own pull nothing is left to shake the cables."""
+    shaken = []
+    for begin in (None, 0.0):
+        power = 0.0
+        for run in runs[:3]:
+            rest = first_equilibrium(plant, run.path)
+            sway, lengths = replace(run.sway, begin=begin), rest.unstrained_length
+            position, rotation, twist = swaying_states(
+                [sway], [plant], Pose(position=rest.position, rotation=rest.rotation), lengths,
+                np.zeros_like(lengths), [sway.guess],
+            )  # fmt: skip
+            simulator = Simulator(plant, worlds=1, cables="catenary", time_step=1e-3)
+            simulator.reset(position, rotation, unstrained_length=lengths, twist=twist)
+            tension = []
+            for _ in range(400):
+                simulator.follow(lengths, 2e-3)
+                tension.append(simulator.state.numpy().tension[0].copy())
+            power += float((np.diff(tension, 2, axis=0) ** 2).sum())  # fast motion most of all
+        shaken.append(power)
+    assert shaken[1] < 0.2 * shaken[0]
+
+
+def test_a_recording_that_does_not_fit_counts_as_one_with_noise_of_its_own():
+    rng = np.random.default_rng(0)
+    errors = [1e-3 * rng.standard_normal((100, 6)) for _ in range(12)]
+    noise = estimate_noise(errors)
+    bad = 50.0 * errors[0]
+    again = estimate_noise([bad, *errors[1:]])
+    assert (again.sigma < 2.0 * noise.sigma).all()
+    assert again.weights(bad).mean() < 0.1 * again.weights(errors[1]).mean()
+    assert again.cost(bad) < 10.0 * bad.size < 2500.0 * again.cost(errors[1])
+    step = 1e-6 * errors[0]
+    slope = (again.cost(bad + step) - again.cost(bad - step)) / 2.0
+    assert slope == pytest.approx(2.0 * float((again.weights(bad) * bad * step).sum()), rel=1e-4)
