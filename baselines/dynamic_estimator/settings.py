@@ -14,6 +14,8 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 Mount = tuple[float, float, float]
+# Of air that by the drag of ``carosac`` pushes it with its `wind_force`.
+AIR_SPEED = Scaled(10.0, "m/s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +48,9 @@ class DynamicEstimatorSettings:
         rate_noise: Of the rates of these lengths, in the twist of the belief [m/s].
         wind_force: Force of the wind on the platform per horizontal axis, and of all else that
             pushes it and that the model does not know: three times the wind alone, so that sway
-            that such a push begins is seen soon [N].
+            that such a push begins is seen soon [N]. By default it scales with the robot, and is
+            no less than the push of air at `AIR_SPEED` by the drag of the robot file: air pushes
+            a light platform no less than a heavy one of its shape.
         wind_time: Its correlation time [s].
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
         acceleration_noise: Density of accelerations that the model does not know, along the ways
@@ -181,7 +185,10 @@ def informed(
 
 def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEstimatorSettings:
     """Return settings with the defaults of a robot in place of those of ``carosac``."""
-    here = resolved(informed(robot, settings), Scales(robot).ratios)
+    told, ratios = informed(robot, settings), Scales(robot).ratios
+    here = resolved(told, ratios)
+    if isinstance(told.wind_force, Scaled):
+        here = replace(here, wind_force=max(here.wind_force, robot.drag * AIR_SPEED.of(ratios)))
     return replace(here, length_bias=here.bias_deviation, stretch_noise=here.stretch_deviation)
 
 

@@ -17,6 +17,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.loop.consistency import band, normalised_square, state_error
 from carosac_toolkit.loop.values import Command, Measurement
+from carosac_toolkit.robot.condition_file import find_condition
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)
@@ -224,6 +225,20 @@ def test_process_noise_and_wind_make_the_predicted_twist_less_certain(robot):
     assert deviation(acceleration_noise=0.2) > 1.5 * usual
     assert deviation(wind_force=10.0) > 1.5 * usual
     assert deviation(wind_time=0.01) < usual  # a gust that is over at once moves it less
+
+
+def test_a_light_platform_of_the_same_drag_is_expected_in_the_same_wind(robot):
+    def expected(robot, **changes):
+        return settings_for(robot, DynamicEstimatorSettings(**changes)).wind_force
+
+    light = replace(robot, mass=0.2 * robot.mass)
+    assert expected(robot) == 3.0
+    assert expected(light) == pytest.approx(3.0)
+    assert expected(replace(light, drag=0.0)) == pytest.approx(0.6)  # in parts of the weight
+    assert expected(replace(robot, drag=2.0 * robot.drag)) == pytest.approx(6.0)
+    assert expected(light, wind_force=0.1) == 0.1  # what the user says
+    scampi = ct.load_robot("scampi")  # of the drag of carosac, at a fifth of its weight
+    assert expected(scampi) >= 3.0 * find_condition("nominal-1").of(scampi).wind_force
 
 
 def test_innovations_beyond_the_gate_count_as_disturbed(robot):
