@@ -105,7 +105,8 @@ class Fitter:
         self._settings = settings
         self._many = len(self._runs) >= RUNS_APART_MIN
         self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
-        self._sways = self._many and all(run.window for run in self._runs)
+        alone = robot_at is not None  # few are searched as the many were that told the robot
+        self._sways = (self._many or alone) and all(run.window for run in self._runs)
         vibrates = self._many and not self._sways
         self._time_step = settings.time_step * (MANY_STEP_RATIO if vibrates else 1.0)
         self._count = len(unknowns.prior.names)

@@ -29,6 +29,7 @@ from calibration.identification.result import (
 )
 from calibration.identification.runs import (
     FittedRun,
+    fastest_sway,
     is_locked,
     slow_window,
     time_before,
@@ -172,13 +173,15 @@ class _Run:
 
     Attributes:
         part: What is to be done with it.
-        poses: All measured ones, in W.
+        poses: All measured ones that count, in W.
+        left_out: Time at first whose poses do not count [s].
         first: Speed at the first samples.
         fitted: What a fit sees.
     """
 
     part: _Part
     poses: MeasuredPoses
+    left_out: float
     first: FirstSpeed
     fitted: FittedRun
 
@@ -239,7 +242,8 @@ def _identify(
                 train=_scored([run], [old], [new], "train"),
                 test=_scored([run], [old], [new], "test"),
                 rests=_rests(run, robot, identified, chosen.rate),
-                first_motion=FirstMotion.of(run.fitted.sway, start, run.first),
+                first_motion=FirstMotion.of(run.fitted.sway, start, run.first, run.fitted.begin),
+                left_out=run.left_out,
                 measured=run.poses,
                 position_before=old[:, :3] + run.poses.position,
                 position_after=new[:, :3] + run.poses.position,
@@ -328,11 +332,15 @@ def _prepared(
 ) -> _Run:
     """Find how a recording begins, and what of it a fit sees, averaged over a window [s].
 
-    If winches are locked at first, it begins `early` seconds before its first pose.
+    If winches are locked until vibrations have died out, poses count from there on, and it begins
+    `early` seconds before.
     """
-    before = 0.0
-    if window and is_locked(path, early):
-        poses, before = without_ringing(poses, window), early
+    before = left_out = 0.0
+    if window:
+        calm = without_ringing(poses, window, fastest_sway(robot, rest))
+        if is_locked(path, max(calm.time[0], path.first + early)):
+            left_out = float(calm.time[0] - poses.time[0])
+            poses, before = calm, early
     recording = part.recording
     first = first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
@@ -343,7 +351,7 @@ def _prepared(
         path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
         window=window,
     )  # fmt: skip
-    return _Run(part=part, poses=poses, first=first, fitted=fitted)
+    return _Run(part=part, poses=poses, left_out=left_out, first=first, fitted=fitted)
 
 
 def _check(part: _Part, robot: Robot) -> MeasuredPoses:

@@ -98,9 +98,11 @@ class RestErrors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FirstMotion:
-    """Motion at the first sample, estimated beside the robot.
+    """Motion at the start of a simulation, estimated beside the robot.
 
     Attributes:
+        time: When it starts: at the first reading, or half a sway before the first pose that
+            counts [s].
         frequency: Of the free modes there, for the robot before [Hz], shape (m,).
         displacement: From the equilibrium along these modes, of the anchor point that moves most
             [m], shape (m,).
@@ -109,6 +111,7 @@ class FirstMotion:
         moves: True if that is no rest.
     """
 
+    time: float
     frequency: Array
     displacement: Array
     speed: Array
@@ -116,10 +119,11 @@ class FirstMotion:
     moves: bool
 
     @classmethod
-    def of(cls, sway: FreeSway, coordinates: Array, first: FirstSpeed) -> FirstMotion:
-        """Return the motion of coordinates (2 m,) along free directions."""
+    def of(cls, sway: FreeSway, coordinates: Array, first: FirstSpeed, time: float) -> FirstMotion:
+        """Return the motion of coordinates (2 m,) along free directions at a time [s]."""
         displacement, speed = sway.values(coordinates)
         return cls(
+            time=time,
             frequency=sway.frequency / (2.0 * np.pi),
             displacement=displacement,
             speed=speed,
@@ -130,6 +134,7 @@ class FirstMotion:
     def data(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON."""
         return {
+            "time_s": self.time,
             "moves": self.moves,
             "measured_speed_m_per_s": self.measured_speed,
             "frequency_Hz": self.frequency,
@@ -169,8 +174,9 @@ class IdentifiedRun:
         train: Samples that were fitted; None where none were.
         test: Samples that were not; None where none were kept back.
         rests: Mean poses while the winches rest.
-        first_motion: Sway at the first sample.
-        measured: All measured poses, K of them, in W.
+        first_motion: Sway at the start of its simulation.
+        left_out: Time at first whose poses do not count, as cables vibrated [s].
+        measured: All other measured poses, K of them, in W.
         position_before: Of the robot as it was known [m], shape (K, 3).
         position_after: Of the identified robot [m], shape (K, 3).
         errors: Of the identified robot, shape (K, 6): [m] and [rad].
@@ -181,6 +187,7 @@ class IdentifiedRun:
     test: ScoredRange | None
     rests: RestErrors
     first_motion: FirstMotion
+    left_out: float
     measured: MeasuredPoses
     position_before: Array
     position_after: Array
@@ -201,6 +208,7 @@ class IdentifiedRun:
             "test": None if self.test is None else self.test.data(),
             "rests": self.rests.data(),
             "first_motion": self.first_motion.data(),
+            "left_out_s": self.left_out,
         }
 
 
@@ -249,7 +257,7 @@ class Identification(CalibrationResult):
 
     @property
     def first_motion(self) -> FirstMotion:
-        """Sway at the first sample of the first recording."""
+        """Sway at the start of the first recording."""
         return self.runs[0].first_motion
 
     @property
@@ -311,11 +319,17 @@ class Identification(CalibrationResult):
         moving = sum(run.first_motion.moves for run in self.runs)
         errors = [run.rmse[1] for run in self.runs]
         worst = int(np.argmax(errors))
+        shaken = [run.left_out for run in self.runs if run.left_out > 0.0]
+        left_out = [
+            f"of {len(shaken)} recordings up to {max(shaken, default=0.0):.1f} s at first do not "
+            "count, neither fitted nor kept back: their cables still vibrate"
+        ]
         return [
             f"{moving} of {len(self.runs)} recordings begin in motion; the start of each was "
             "estimated beside the robot",
             f"RMS errors of the recordings: {np.median(errors) * 1e3:.1f} mm in the median, "
             f"{errors[worst] * 1e3:.1f} mm at worst ({self.runs[worst].name})",
+            *(left_out if shaken else []),
         ]
 
     def _first_motion(self) -> list[str]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
@@ -21,9 +23,13 @@ WINDOW_PERIODS = 3.0  # of the slowest vibration: Blackman's window leaves a tho
 SLOW_PERIODS_MAX = 1.5  # of the fastest sway in a window, which leaves nearly half of it
 WINDOW_POSES_MIN = 6  # poses in a window
 WINDOW_POSES_MAX = 40
-SWAY_DEGREE = 4  # of polynomials that follow a sway within a window, and no vibration
+# Degree of polynomials that follow a sway within a window to a thousandth, and no vibration: of a
+# sway that lasts, and for each of its periods.
+SWAY_DEGREE, SWAY_DEGREE_PER_PERIOD = 3, 4
 RINGING_RATIO_MIN = 1.5  # of the scatter within later windows: more is vibration
-CALM_WINDOWS = 4  # in a row, half a window apart: vibrations have died out
+RINGING_WINDOWS = 3.0  # in which sway and vibrations are told apart, in windows of averages
+CHANCE = 1e-5  # that noise alone scatters so much in a window
+CALM_WINDOWS = 4  # in a row, as many a window: vibrations have died out
 RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
 PERIODS_BEFORE = 0.5  # of the slowest sway
 LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
@@ -48,6 +54,11 @@ class FittedRun:
     rate: float
     sway: FreeSway
     window: float = 0.0
+
+    @property
+    def begin(self) -> float:
+        """When its simulation begins [s]."""
+        return self.path.first if self.sway.begin is None else self.sway.begin
 
     def first(self, share: float) -> FittedRun:
         """Return the run with the poses of a share of it, from the first.
@@ -110,6 +121,11 @@ def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
     return float(window)
 
 
+def fastest_sway(robot: Robot, rest: Equilibrium) -> float:
+    """Return the frequency of the fastest sway of less than six cables [Hz]."""
+    return float(natural_frequencies(robot, rest)[0, 5 - robot.n])
+
+
 def time_before(robot: Robot, rest: Equilibrium) -> float:
     """Return how long before its first pose a recording with locked winches is simulated [s].
 
@@ -118,13 +134,13 @@ def time_before(robot: Robot, rest: Equilibrium) -> float:
     return PERIODS_BEFORE / float(natural_frequencies(robot, rest)[0, 0])
 
 
-def is_locked(path: LengthPath, duration: float) -> bool:
-    """Return True if winches hold still for some time [s] from the first reading on."""
-    lengths = path.at(path.first + duration * np.linspace(0.0, 1.0, LOCKED_TIMES))
+def is_locked(path: LengthPath, last: float) -> bool:
+    """Return True if winches hold still from the first reading to some time [s]."""
+    lengths = path.at(np.linspace(path.first, last, LOCKED_TIMES))
     return bool((np.ptp(lengths, axis=0) <= LOCKED_SHARE_MAX * np.abs(lengths[0])).all())
 
 
-def without_ringing(poses: MeasuredPoses, window: float) -> MeasuredPoses:
+def without_ringing(poses: MeasuredPoses, window: float, sway: float) -> MeasuredPoses:
     """Return the poses of a recording from when its vibrations have died out.
 
     What kicks a platform shakes its cables too. While they vibrate they change the sway, in strong
@@ -133,36 +149,43 @@ def without_ringing(poses: MeasuredPoses, window: float) -> MeasuredPoses:
     Args:
         poses: Measured ones.
         window: Over which errors are averaged [s].
+        sway: Frequency of the fastest sway [Hz].
     """
-    begin, scatter = _scatter(poses, window)
+    length = RINGING_WINDOWS * window
+    degree = SWAY_DEGREE + math.ceil(SWAY_DEGREE_PER_PERIOD * length * sway)
+    begin, scatter, freedoms = _scatter(poses, length, degree)
     if not len(begin):
         return poses
     first, last = poses.time[0], poses.time[-1]
     latest = float(first + RINGING_SHARE_MAX * (last - first))
     typical = np.median(scatter[len(begin) // 2 :], axis=0)
-    rings = np.asarray((scatter > RINGING_RATIO_MIN * typical).any(axis=1))
+    limit = np.maximum(RINGING_RATIO_MIN, chi2.isf(CHANCE, 3 * freedoms) / (3 * freedoms))
+    rings = np.asarray((scatter > limit[:, None] * typical).any(axis=1))
     calm = [k for k in range(len(rings)) if not rings[k : k + CALM_WINDOWS].any()]
     since = min(begin[calm[0]], latest) if calm else latest
     return poses.rows(np.flatnonzero(poses.time >= since))
 
 
-def _scatter(poses: MeasuredPoses, window: float) -> tuple[Array, Array]:
-    """Return when windows begin [s] (K,), and how positions and rotations scatter in them (K, 2).
+def _scatter(poses: MeasuredPoses, window: float, degree: int) -> tuple[Array, Array, Array]:
+    """Return how positions and rotations scatter in windows about polynomials of a degree.
 
-    That is the mean square of what a polynomial leaves.
+    Returns:
+        When windows begin [s], shape (K,); the variances of both, shape (K, 2); and how many
+        freedoms each component has, shape (K,).
     """
-    begins, scatters = [], []
+    begins, scatters, freedoms = [], [], []
     begin = float(poses.time[0])
     while begin + window <= poses.time[-1]:
         rows = np.flatnonzero((poses.time >= begin) & (poses.time < begin + window))
-        if len(rows) >= WINDOW_POSES_MIN:
+        if len(rows) > degree + 1:
             turn = poses.rotation[rows[0]].T @ poses.rotation[rows]
             motion = np.hstack([poses.position[rows], Rotation.from_matrix(turn).as_rotvec()])
-            share = (poses.time[rows] - begin) / window
-            basis = np.vander(share, min(SWAY_DEGREE, len(rows) - 2) + 1)
+            basis = np.polynomial.legendre.legvander(
+                2.0 * (poses.time[rows] - begin) / window - 1.0, degree
+            )
             left = motion - basis @ np.linalg.lstsq(basis, motion, rcond=None)[0]
-            square = (left**2).sum(axis=0) / (len(rows) - len(basis.T))
+            freedoms.append(len(rows) - degree - 1)
             begins.append(begin)
-            scatters.append(square.reshape(2, 3).sum(axis=1))
-        begin += 0.5 * window
-    return np.array(begins), np.array(scatters).reshape(-1, 2)
+            scatters.append((left**2).sum(axis=0).reshape(2, 3).sum(axis=1) / freedoms[-1])
+        begin += window / CALM_WINDOWS
+    return np.array(begins), np.array(scatters).reshape(-1, 2), np.array(freedoms)

@@ -186,23 +186,39 @@ def test_poses_begin_where_a_vibration_is_lost_in_noise():
     sway = 0.1 * np.sin(2.0 * np.pi * 0.6 * time)
     ringing = 5e-3 * np.exp(-time / 1.0) * np.sin(2.0 * np.pi * 6.0 * time)  # 1 mm after 1.6 s
 
-    def begins(motion):
+    def begins(motion, noise=1e-3):
         poses = MeasuredPoses(
             time=time,
-            position=motion[:, None] + 1e-3 * rng.standard_normal((len(time), 3)),
+            position=motion[:, None] + noise * rng.standard_normal((len(time), 3)),
             rotation=np.tile(np.eye(3), (len(time), 1, 1)),
             index=np.arange(len(time)),
         )
-        return without_ringing(poses, 0.5).time[0]
+        return without_ringing(poses, 0.5, 2.0).time[0]
 
     assert begins(sway) == 0.0
-    assert 1.0 < begins(sway + ringing) < 3.0
+    assert 0.7 < begins(sway + ringing) < 3.0
+    for frequency in (0.6, 2.0):  # a sway that decays is no vibration
+        decaying = np.exp(-time / 5.0) * np.sin(2.0 * np.pi * frequency * time)
+        assert begins(0.1 * decaying, noise=2e-4) == 0.0
     assert begins(sway + 5e-3 * np.sin(2.0 * np.pi * 6.0 * time)) == 0.0  # always: no less later
+
+
+def test_few_poses_in_a_window_are_not_taken_for_a_vibration():
+    for rate in (20.0, 25.0, 100.0):
+        for seed in range(10):
+            rng, time = np.random.default_rng(seed), np.arange(0.0, 10.0, 1.0 / rate)
+            poses = MeasuredPoses(
+                time=time,
+                position=1e-3 * rng.standard_normal((len(time), 3)),
+                rotation=np.tile(np.eye(3), (len(time), 1, 1)),
+                index=np.arange(len(time)),
+            )
+            assert without_ringing(poses, 0.36, 0.5).time[0] == 0.0
 
 
 def test_winches_that_move_at_first_are_not_locked(runs):
     path = runs[0].path
-    assert is_locked(path, 0.8)
+    assert is_locked(path, path.first + 0.8)
     time = np.arange(0.0, 2.0, 0.01)
     wound = 5.0 + np.outer(0.1 * time, np.ones(3))
     moving = LengthPath(Recording(time=time, unstrained_length=wound))
