@@ -32,11 +32,19 @@ def robot_names(results: StudyResults) -> dict[str, str]:
 
 
 def told_apart(names: Mapping[str, str]) -> dict[str, str]:
-    """Return the names of robots by name or path; those of one name with their files."""
+    """Return the names of robots by name or path; those of one name with their files.
+
+    Files of the same name are told apart by their paths.
+    """
     known = list(names.values())
-    return {
+    told = {
         text: name if known.count(name) == 1 else f"{name} ({short_name(text)})"
         for text, name in names.items()
+    }
+    shown = list(told.values())
+    return {
+        text: name if shown.count(name) == 1 else f"{names[text]} ({text})"
+        for text, name in told.items()
     }
 
 
