@@ -48,11 +48,18 @@ def told_apart(names: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def named_labels(results: StudyResults) -> list[str]:
-    """Return the labels of the groups, with the names of robots in place of their files."""
+def named_labels(results: StudyResults, *, short: bool = False) -> list[str]:
+    """Return the labels of the groups, with the names of robots in place of their files.
+
+    Args:
+        results: Results of a study.
+        short: Whether all other names are shortened by `short_name`.
+    """
     own = robot_names(results)
+    shown = short_name if short else str
     return [
-        " / ".join(own.get(part, part) for part in label.split(" / ")) for label in results.labels
+        " / ".join(own.get(part, shown(part)) for part in label.split(" / "))
+        for label in results.labels
     ]
 
 
