@@ -120,7 +120,7 @@ def _cable_materials(robot: Robot) -> Iterator[str]:
     density = robot.linear_density / (0.25 * np.pi * robot.cable_diameter**2)  # (n,) [kg/m^3]
     ratio = density / WATER_DENSITY_KG_PER_M3
     low, high = CABLE_DENSITY_RANGE
-    for names, i in _cables(robot, (ratio < low) | (ratio > high), ratio).items():
+    for names, (i, *_) in _cables(robot, (ratio < low) | (ratio > high), ratio).items():
         yield (
             f"{names}: diameter {plain(robot.cable_diameter[i] * 1e3, 4)} mm and linear_density "
             f"{plain(robot.linear_density[i] * 1e3, 4)} g/m make {plain(ratio[i], 3)} times the "
@@ -147,10 +147,12 @@ def _strains(report: RobotAtHome) -> Iterator[str]:
     known = bool(home.converged[0])
     tension = home.tension[0] if known else robot.tension_min
     strain = tension / robot.axial_stiffness
-    for names, i in _cables(robot, strain > CABLE_STRAIN_MAX, robot.axial_stiffness).items():
+    for names, each in _cables(robot, strain > CABLE_STRAIN_MAX, robot.axial_stiffness).items():
+        i = max(each, key=lambda k: float(strain[k]))
+        at_most = "up to " if len(each) > 1 else ""
         yield (
             f"{names}: axial_stiffness {plain(robot.axial_stiffness[i], 4)} N stretches by "
-            f"{plain(1e2 * strain[i], 3)} % under {plain(tension[i], 3)} N"
+            f"{at_most}{plain(1e2 * strain[i], 3)} % under {plain(tension[i], 3)} N"
             f"{' at home' if known else ''}; cables of robots stretch by less than "
             f"{1e2 * CABLE_STRAIN_MAX:g} %, even of nylon: is it in kN? A bare number is in newtons"
         )
@@ -168,8 +170,8 @@ def _weight(robot: Robot) -> Iterator[str]:
         )
 
 
-def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, int]:
-    """Name bad cables of the same value together, and return the first of each group."""
+def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, list[int]]:
+    """Name bad cables of the same value together, and return those of each group."""
     groups: dict[float, list[int]] = {}
     for i in np.flatnonzero(bad):
         groups.setdefault(float(value[i]), []).append(int(i))
@@ -177,5 +179,5 @@ def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, 
     for each in groups.values():
         names = ", ".join(robot.cable_names[i] for i in each)
         count = "cables" if len(each) > 1 else "cable"
-        words["all cables" if len(each) == robot.n else f"{count} {names}"] = each[0]
+        words["all cables" if len(each) == robot.n else f"{count} {names}"] = each
     return words

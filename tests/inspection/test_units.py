@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.inspection.units import doubtful_units
 from tests.robots import eight_cable_robot, hanging, simple_robot
@@ -27,7 +28,7 @@ def test_plausible_robots_raise_no_question(robot):
         ("cable_diameter", 3.0, "is diameter in mm?"),
         ("cable_diameter", 0.3, "is diameter in cm?"),
         ("linear_density", 10.55, "is linear_density in g/m?"),
-        ("axial_stiffness", 950.0, "under 84.5 N at home; cables of robots stretch by less than 5 "
+        ("axial_stiffness", 950.0, "under 87.4 N at home; cables of robots stretch by less than 5 "
          "%, even of nylon: is it in kN?"),
     ],
 )  # fmt: skip
@@ -98,3 +99,14 @@ def test_home_in_another_unit_asks_for_those_that_bring_it_between_the_exit_poin
     home = factor * simple_robot().home_position
     text, *_ = doubts(simple_robot(home_position=home, length_max=np.full(4, length_max)))
     assert f"is home in {units}?" in text
+
+
+def test_the_largest_strain_of_cables_of_the_same_stiffness_is_told():
+    home = simple_robot().home_position + np.array([0.0, -2.0, 0.0])
+    robot = simple_robot(axial_stiffness=np.full(4, 200.0), home_position=home)
+    report = report_robot(robot)
+    tension = report.equilibrium.tension[0]
+    assert tension.argmax() != 0
+    (text,) = [text for text in doubtful_units(report) if "stretches" in text]
+    assert f"stretches by up to {plain(tension.max() / 2.0, 3)} %" in text
+    assert f"under {plain(tension.max(), 3)} N" in text
