@@ -10,6 +10,7 @@ from carosac_toolkit.cli.option_source import MANY_WORDS, Option, read_options
 from carosac_toolkit.loop.plugin_settings import SET_OPTION
 
 LIMIT_SUFFIX = "_max"  # of fields whose options have none: --speed sets speed_max
+OPTION_NAMES = {"estimator": "models"}  # of fields that a command sets by an option of another name
 _SETTINGS_FIELD = re.compile(r"(controller|estimator|driver)(?:_settings)?(?: of |(?=\.))")
 
 
@@ -47,7 +48,7 @@ def _spelling(option: Option, field: str, value: str, words: Sequence[str]) -> s
     if not option.flags:
         named = option.metavar.lower() == field and _same(value, words)
         return option.metavar if named else None
-    names = {field, f"{field}s", field.removesuffix(LIMIT_SUFFIX)}
+    names = {field, f"{field}s", field.removesuffix(LIMIT_SUFFIX), OPTION_NAMES.get(field, field)}
     if not {f"--{name.replace('_', '-')}" for name in names} & set(option.flags):
         return None
     for flag in option.flags:

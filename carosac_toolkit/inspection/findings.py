@@ -11,7 +11,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.inspection import contacts, swaps
-from carosac_toolkit.inspection.home import RobotAtHome
+from carosac_toolkit.inspection.home import HOME_TILT_MAX_DEG, RobotAtHome
 from carosac_toolkit.inspection.units import doubtful_units
 from carosac_toolkit.robot.checks import unused_parts
 from carosac_toolkit.robot.sizes import SURFACE_CABLES
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 DEEP_SAG_RATIO = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
 RANK_TOLERANCE = 1e-6  # of the largest singular value: smaller ones count as none
 FREQUENCY_MIN_HZ = 1e-6  # [Hz]: a slower motion does not oscillate
-HOME_TILT_MAX_DEG = (
-    60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
-)
 TENSION_ROUNDING_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from carosac_toolkit.physics.rest.statics import Equilibrium
     from carosac_toolkit.robot.schema import RobotFile
 
+HOME_TILT_MAX_DEG = (
+    60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
+)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotAtHome:

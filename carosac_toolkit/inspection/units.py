@@ -22,6 +22,7 @@ OVERWEIGHT_RATIO = 5.0  # of the weight to what all cables may carry: not just a
 CABLE_STRAIN_MAX = 0.05  # at rest, of nylon at a tenth of its strength, the most elastic fibre
 WATER_DENSITY_KG_PER_M3 = 1000.0
 CABLE_DENSITY_RANGE = (0.5, 20.0)  # of water: braided polyethylene with voids, to tungsten
+UNITS_M = {"mm": 1e-3, "cm": 1e-2}  # [m] of units that points may be in by mistake
 BARE_LENGTH = "A bare number is in metres"
 
 
@@ -57,19 +58,24 @@ def _far_exits(robot: Robot) -> Iterator[str]:
         others = f"the others about {plain(float(np.median(distance[~far])), 3)} m"
         yield (
             f"the exit point of cable {robot.cable_names[i]} is {plain(distance[i], 4)} m from "
-            f"home, {others}: {_in_millimetres(distance[i], distance[~far])} {BARE_LENGTH}"
+            f"home, {others}: {_single_question(distance[i], distance[~far])} {BARE_LENGTH}"
         )
 
 
 def _exits_or_home(robot: Robot, reach: Array) -> str:
     """Ask for the unit of all exit points, or of home, whichever would bring them together."""
-    for exits, home, question in (
-        (1e-3, 1.0, "are they in mm?"),
-        (1.0, 1e-3, "is home in mm?"),
-    ):
-        apart = np.linalg.norm(exits * robot.exit_points - home * robot.home_position, axis=1)
-        if (apart <= reach).all() and (apart >= robot.length_min).all():
-            return question
+    for of_exits, question in ((True, "are they in"), (False, "is home in")):
+        fitting, between = [], []
+        for unit, size in UNITS_M.items():
+            exits = robot.exit_points * (size if of_exits else 1.0)
+            home = robot.home_position * (1.0 if of_exits else size)
+            apart = np.linalg.norm(exits - home, axis=1)
+            if (apart <= reach).all() and (apart >= robot.length_min).all():
+                fitting.append(unit)
+                if ((exits.min(axis=0) <= home) & (home <= exits.max(axis=0)))[:2].all():
+                    between.append(unit)
+        if fitting:
+            return f"{question} {' or '.join(between or fitting)}?"
     return "are their units right?"
 
 
@@ -81,25 +87,32 @@ def _far_anchors(robot: Robot) -> Iterator[str]:
     far = (distance > FAR_DISTANCE_RATIO * usual) & (usual > 0.0)
     far |= distance > OUTSIDE_RATIO * frame
     if far.all():
+        fitting = [unit for unit, size in UNITS_M.items() if size * distance.max() <= frame]
+        question = f"are they in {' or '.join(fitting)}?" if fitting else "are their units right?"
         yield (
             f"all anchor points are {plain(float(distance.min()), 4)} m or more from the "
-            f"platform's origin, no exit point is farther than {plain(frame, 3)} m from home: are "
-            f"they in mm? {BARE_LENGTH}"
+            f"platform's origin, no exit point is farther than {plain(frame, 3)} m from home: "
+            f"{question} {BARE_LENGTH}"
         )
         return
     for i in np.flatnonzero(far):
         others = f"the others about {plain(float(np.median(distance[~far])), 3)} m"
         yield (
             f"the anchor point of cable {robot.cable_names[i]} is {plain(distance[i], 4)} m from "
-            f"the platform's origin, {others}: {_in_millimetres(distance[i], distance[~far])} "
+            f"the platform's origin, {others}: {_single_question(distance[i], distance[~far])} "
             f"{BARE_LENGTH}"
         )
 
 
-def _in_millimetres(distance: float, others: Array) -> str:
-    """Ask for the unit of a distance: mm if it then is like the others."""
-    within = others.min() / FAR_DISTANCE_RATIO < 1e-3 * distance < FAR_DISTANCE_RATIO * others.max()
-    return "is it in mm?" if within else "is its unit right?"
+def _single_question(distance: float, others: Array) -> str:
+    """Ask for the unit of a distance that makes it most like the others."""
+    usual = float(others.mean())
+    if usual == 0.0:
+        return "is its unit right?"
+    unit = min(UNITS_M, key=lambda name: abs(np.log(UNITS_M[name] * distance / usual)))
+    length = UNITS_M[unit] * distance
+    within = others.min() / FAR_DISTANCE_RATIO < length < FAR_DISTANCE_RATIO * others.max()
+    return f"is it in {unit}?" if within else "is its unit right?"
 
 
 def _cable_materials(robot: Robot) -> Iterator[str]:
@@ -107,7 +120,7 @@ def _cable_materials(robot: Robot) -> Iterator[str]:
     density = robot.linear_density / (0.25 * np.pi * robot.cable_diameter**2)  # (n,) [kg/m^3]
     ratio = density / WATER_DENSITY_KG_PER_M3
     low, high = CABLE_DENSITY_RANGE
-    for names, i in _cables(robot, (ratio < low) | (ratio > high), ratio).items():
+    for names, (i, *_) in _cables(robot, (ratio < low) | (ratio > high), ratio).items():
         yield (
             f"{names}: diameter {plain(robot.cable_diameter[i] * 1e3, 4)} mm and linear_density "
             f"{plain(robot.linear_density[i] * 1e3, 4)} g/m make {plain(ratio[i], 3)} times the "
@@ -134,10 +147,12 @@ def _strains(report: RobotAtHome) -> Iterator[str]:
     known = bool(home.converged[0])
     tension = home.tension[0] if known else robot.tension_min
     strain = tension / robot.axial_stiffness
-    for names, i in _cables(robot, strain > CABLE_STRAIN_MAX, robot.axial_stiffness).items():
+    for names, each in _cables(robot, strain > CABLE_STRAIN_MAX, robot.axial_stiffness).items():
+        i = max(each, key=lambda k: float(strain[k]))
+        at_most = "up to " if len(each) > 1 else ""
         yield (
             f"{names}: axial_stiffness {plain(robot.axial_stiffness[i], 4)} N stretches by "
-            f"{plain(1e2 * strain[i], 3)} % under {plain(tension[i], 3)} N"
+            f"{at_most}{plain(1e2 * strain[i], 3)} % under {plain(tension[i], 3)} N"
             f"{' at home' if known else ''}; cables of robots stretch by less than "
             f"{1e2 * CABLE_STRAIN_MAX:g} %, even of nylon: is it in kN? A bare number is in newtons"
         )
@@ -155,8 +170,8 @@ def _weight(robot: Robot) -> Iterator[str]:
         )
 
 
-def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, int]:
-    """Name bad cables of the same value together, and return the first of each group."""
+def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, list[int]]:
+    """Name bad cables of the same value together, and return those of each group."""
     groups: dict[float, list[int]] = {}
     for i in np.flatnonzero(bad):
         groups.setdefault(float(value[i]), []).append(int(i))
@@ -164,5 +179,5 @@ def _cables(robot: Robot, bad: NDArray[np.bool_], value: Array) -> Mapping[str, 
     for each in groups.values():
         names = ", ".join(robot.cable_names[i] for i in each)
         count = "cables" if len(each) > 1 else "cable"
-        words["all cables" if len(each) == robot.n else f"{count} {names}"] = each[0]
+        words["all cables" if len(each) == robot.n else f"{count} {names}"] = each
     return words

@@ -23,7 +23,8 @@ PATH_COLUMNS = ("time_s", "position_x_m", "position_y_m", "position_z_m")
 LENGTH_COLUMN_STARTS = ("unstrained_length", "cable_length")  # of a recording
 ROWS_MIN = 2
 DEPARTURE_RATIO = 0.01  # of the size of the path: up to there nobody is told
-MILLIMETRE_RATIO = 20.0  # of a coordinate to the largest one of the box, from which mm are likely
+OTHER_UNIT_RATIO = 20.0  # of a coordinate to the largest one of the box: likely not in metres
+METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2}  # units that positions may be in by mistake
 ROW_TIME_TOLERANCE = 1e-9  # of the duration: a time this near to that of a row is on it
 
 
@@ -57,20 +58,26 @@ class PathTable:
     def row_outside(self, robot: Robot) -> InvalidField | None:
         """Return an error for the first row outside of a robot's workspace box; None without one.
 
-        Coordinates far outside may be in millimetres, and the error asks.
+        Coordinates far outside may be in mm or cm, and the error asks.
         """
         low, high = robot.workspace_min, robot.workspace_max
-        outside = (self.position < low - BOX_MARGIN_M) | (self.position > high + BOX_MARGIN_M)
+        outside = _outside(self.position, robot)
         if not outside.any():
             return None
         k, axis = (int(i) for i in np.argwhere(outside)[0])
         reach = float(np.abs([low, high]).max())
-        far = np.abs(self.position).max() > MILLIMETRE_RATIO * reach
+        far = np.abs(self.position).max() > OTHER_UNIT_RATIO * reach
+        fitting = [
+            unit
+            for unit, size in METRES_PER_UNIT.items()
+            if not _outside(size * self.position, robot).any()
+        ]
+        units = " or ".join(fitting or METRES_PER_UNIT)
         allowed = f"{low[axis]:g} m to {high[axis]:g} m, the box of {robot.name!r}"
         return InvalidField(
             f"line {self.lines[k]}, column {PATH_COLUMNS[1 + axis]!r}",
             f"{self.position[k, axis]:g} m",
-            f"{allowed}; are the positions in mm?" if far else allowed,
+            f"{allowed}; are the positions in {units}?" if far else allowed,
         )
 
     def departure(self, name: str) -> str | None:
@@ -88,6 +95,13 @@ class PathTable:
             f"{plain(distance, 3)} m from the straight line, {100 * distance / size:.0f} % of the "
             "size of the path. Add rows where it has to be straight."
         )
+
+
+def _outside(position: Array, robot: Robot) -> NDArray[np.bool_]:
+    """Return which coordinates in W [m] are outside of a robot's workspace box, shape (N, 3)."""
+    low, high = robot.workspace_min - BOX_MARGIN_M, robot.workspace_max + BOX_MARGIN_M
+    outside: NDArray[np.bool_] = (position < low) | (position > high)
+    return outside
 
 
 def read_path(file: Path) -> PathTable | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.cli import check, compare
+from carosac_toolkit.cli import check, compare, validate
 from carosac_toolkit.cli.option_names import name_option
 
 
@@ -32,3 +32,13 @@ def test_a_positional_argument_goes_by_the_name_in_the_help():
     options = check.Options(robot_argument="nobody")
     error = name_option(InvalidField("robot", "'nobody'", "one of []"), options, ["nobody"])
     assert error.field == "ROBOT"
+
+
+def test_a_field_goes_by_the_option_of_another_name_that_sets_it():
+    value = "straight_line,kinematic_solver"
+    raised = InvalidField("estimator", repr(value), "one of ['straight_line']")
+    options = validate.Options(recording="synthetic")
+    error = name_option(raised, options, ["synthetic", "--models", value])
+    assert error.field == "--models"
+    expected = "names with spaces between them: --models straight_line kinematic_solver"
+    assert error.allowed == expected

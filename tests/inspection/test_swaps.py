@@ -37,3 +37,10 @@ def test_nothing_is_asked_where_no_exchange_helps():
     assert heavy.problems and not any("swapped" in text for text in heavy.problems)
     high = report_robot(simple_robot(home_position=np.array([0.4, -1.8, 9.0])))
     assert high.problems and not any("swapped" in text for text in high.problems)
+
+
+def test_nothing_is_asked_where_an_exchange_turns_the_platform_over():
+    robot = ct.load_robot("desktop")
+    high = replace(robot, center_of_mass=robot.center_of_mass + np.array([0.0, 0.0, 0.1]))
+    problems = report_robot(high).problems
+    assert problems and not any("swapped" in text for text in problems)

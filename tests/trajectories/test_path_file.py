@@ -127,11 +127,24 @@ def test_a_path_that_leaves_the_box_is_refused_with_place_and_time(tmp_path):
         from_file(name, ROBOT)
 
 
-def test_positions_in_millimetres_are_asked_about_with_their_row(tmp_path):
-    rows = 1e3 * (ROBOT.home_position + np.array([[0, 0, 0], [0.1, 0, 0]]))
-    name = write(tmp_path / "mm.csv", [0.0, 2.0], rows)
-    with pytest.raises(InvalidField, match=r"mm.csv: line 2, column .* are the positions in mm\?"):
-        from_file(name, ROBOT)
+@pytest.mark.parametrize(
+    ("box_min", "end", "factor", "units"),
+    [
+        ((-1.6, -3.8, 1.0), 0.1, 1e3, "mm"),
+        ((-1.6, -3.8, 1.0), 0.1, 1e2, "cm"),
+        ((-1.6, -3.8, 0.0), 0.1, 1e2, "mm or cm"),  # both lie in a box that has the origin in it
+        ((-1.6, -3.8, 1.0), 99.0, 1e3, "mm or cm"),  # neither does
+    ],
+)
+def test_positions_in_another_unit_are_asked_about_with_their_row(
+    tmp_path, box_min, end, factor, units
+):
+    rows = factor * (ROBOT.home_position + np.array([[0, 0, 0], [end, 0, 0]]))
+    name = write(tmp_path / "far.csv", [0.0, 2.0], rows)
+    robot = replace(ROBOT, workspace_min=np.array(box_min))
+    message = rf"far.csv: line 2, column .* are the positions in {units}\?"
+    with pytest.raises(InvalidField, match=message):
+        from_file(name, robot)
 
 
 def test_a_path_that_curves_between_rows_is_told_and_a_straight_one_is_not(tmp_path):

@@ -32,19 +32,34 @@ def robot_names(results: StudyResults) -> dict[str, str]:
 
 
 def told_apart(names: Mapping[str, str]) -> dict[str, str]:
-    """Return the names of robots by name or path; those of one name with their files."""
+    """Return the names of robots by name or path; those of one name with their files.
+
+    Files of the same name are told apart by their paths.
+    """
     known = list(names.values())
-    return {
+    told = {
         text: name if known.count(name) == 1 else f"{name} ({short_name(text)})"
         for text, name in names.items()
     }
+    shown = list(told.values())
+    return {
+        text: name if shown.count(name) == 1 else f"{names[text]} ({text})"
+        for text, name in told.items()
+    }
 
 
-def named_labels(results: StudyResults) -> list[str]:
-    """Return the labels of the groups, with the names of robots in place of their files."""
+def named_labels(results: StudyResults, *, short: bool = False) -> list[str]:
+    """Return the labels of the groups, with the names of robots in place of their files.
+
+    Args:
+        results: Results of a study.
+        short: Whether all other names are shortened by `short_name`.
+    """
     own = robot_names(results)
+    shown = short_name if short else str
     return [
-        " / ".join(own.get(part, part) for part in label.split(" / ")) for label in results.labels
+        " / ".join(own.get(part, shown(part)) for part in label.split(" / "))
+        for label in results.labels
     ]
 
 

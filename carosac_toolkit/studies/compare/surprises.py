@@ -8,7 +8,7 @@ from typing import Any
 
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.studies.compare.estimator_limits import estimator_limits
-from carosac_toolkit.studies.compare.names import named_labels, robot_names, short_name
+from carosac_toolkit.studies.compare.names import named_labels, robot_names
 from carosac_toolkit.studies.compare.results import (
     COMPARED_COLUMNS,
     PAIR_COLUMNS,
@@ -93,7 +93,7 @@ def grave_surprises(results: StudyResults) -> list[str]:
 
 def _labels(results: StudyResults) -> list[str]:
     """Return short labels of the groups."""
-    return [" / ".join(map(short_name, label.split(" / "))) for label in named_labels(results)]
+    return named_labels(results, short=True)
 
 
 def _lines(

@@ -331,7 +331,10 @@ def _settings(manifest: dict[str, Any], entries: list[list[Any]]) -> set[tuple[s
 
 
 def _differing(held: dict[str, Any], missing: list[list[Any]], asked: dict[str, Any]) -> str:
-    """Name what cases of the held study have and the request has not: names and settings."""
+    """Name what cases of the held study have and the request has not: names and settings.
+
+    Where they have nothing of their own, settings that only the request has are named.
+    """
     texts = []
     for i, axis in enumerate(_AXES, start=1):
         here = {entry[i] for entry in asked["cases"]}
@@ -342,7 +345,10 @@ def _differing(held: dict[str, Any], missing: list[list[Any]], asked: dict[str, 
             names = f"{', '.join(gone[:NAMES_SHOWN])}{more}"
             texts.append(f"{_AXIS_WORDS.get(axis, f'{axis}s')}: {names} {verb} missing here")
     there, here = _settings(held, missing), _settings(asked, asked["cases"])
-    for name in sorted({name for name, _ in there - here}):
+    differing = there - here
+    if not texts and not differing:
+        differing = here - there
+    for name in sorted({name for name, _ in differing}):
         values = [
             " or ".join(sorted(value for other, value in side if other == name)) or "none"
             for side in (there, here)
@@ -351,4 +357,5 @@ def _differing(held: dict[str, Any], missing: list[list[Any]], asked: dict[str, 
             texts.append(f"the {_DIGEST_WORDS[name]} has changed")
         else:
             texts.append(_compared(name, *values))
-    return "; ".join(texts) or f"{len(missing)} of its cases are missing here"
+    verb = "is" if len(missing) == 1 else "are"
+    return "; ".join(texts) or f"{len(missing)} of its cases {verb} missing here"

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies.compare.feasibility import PathFeasibility
 from carosac_toolkit.studies.compare.surprises import grave_surprises, surprises
 from carosac_toolkit.studies.compare.tables import name_columns
@@ -50,6 +51,20 @@ def test_limited_commands_are_told_with_the_limit_that_came_first_and_what_to_do
     assert "mostly by jump (b 44 % of the commands)" in text
     assert "0.5 m behind" in text and "--set driver.limits.jump_max=METRES" in text
     assert "44 % jump" in terminal_table(results, 100)
+
+
+def test_robots_keep_their_own_names_while_other_names_are_shortened(tmp_path):
+    runs = []
+    for file, name in (("a.yaml", "Rig: v2"), ("b.yaml", "lab/rig v1.2")):
+        path = tmp_path / file
+        path.write_text(robot_text("carosac").replace("name: carosac", f'name: "{name}"', 1))
+        runs += [
+            good(case(one, robot=str(path)), (0.01, 0, 0), **CALM | LIMITED)
+            for one in ("mine:First", "mine:Other")
+        ]
+    text = surprises(study(runs))[0]
+    for name in ("Rig: v2", "lab/rig v1.2"):
+        assert f"{name} / First 44 %" in text and f"{name} / Other 44 %" in text
 
 
 def test_slower_paths_are_advised_only_where_the_paths_are_too_fast():

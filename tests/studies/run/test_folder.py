@@ -66,6 +66,23 @@ def test_settings_that_differ_from_the_study_of_a_folder_are_named(tmp_path):
         run([one_case("mpc", speed_max=2.0)], tmp_path)
 
 
+def test_settings_that_only_the_request_has_are_named(tmp_path):
+    run([one_case("mpc", speed_max=1.0)], tmp_path)
+    message = r"study: controller_settings\.gain: none there, 0\.5 here\. Use"
+    with pytest.raises(StudyConflict, match=message):
+        run([one_case("mpc", speed_max=1.0, controller_settings={"gain": 0.5})], tmp_path)
+
+
+@pytest.mark.parametrize(("count", "words"), [(1, "1 of its cases is"), (2, "2 of its cases are")])
+def test_cases_are_counted_where_no_name_or_setting_tells_them(tmp_path, count, words):
+    cases = [
+        one_case(name, seed) for name, seed in (("mpc", 0), ("mpc", 1), ("td3", 0), ("td3", 1))
+    ]
+    run(cases, tmp_path)
+    with pytest.raises(StudyConflict, match=f"study: {words} missing here"):
+        run([cases[0], cases[3], cases[1]][: 4 - count], tmp_path)
+
+
 def test_only_what_is_missing_of_a_study_is_named(tmp_path):
     run([*some_cases(9), one_case("mpc"), one_case("td3", limits=list(range(99)))], tmp_path)
     with pytest.raises(StudyConflict) as caught:
