@@ -49,7 +49,10 @@ class Starts:
 
 
 def batch_starts(
-    problem: MotorAngleProblem, rng: np.random.Generator, count: int = STARTS
+    problem: MotorAngleProblem,
+    rng: np.random.Generator,
+    count: int = STARTS,
+    stages: tuple[tuple[float, int], ...] = STAGES,
 ) -> Starts:
     """Fit from many starts at once.
 
@@ -57,12 +60,13 @@ def batch_starts(
         problem: The samples.
         rng: Generator of the starts.
         count: How many.
+        stages: Noise of the line over the longest cable, and steps, of one stage after the other.
     """
     batch = _Batch(problem, _chosen(problem))
     shared = _drawn(problem, rng, count)
     position = batch.placed(shared)
     cost = np.zeros(len(shared))
-    for share, steps in STAGES:
+    for share, steps in stages:
         shared, position, cost = batch.fitted(shared, position, share * problem.longest, steps)
     return Starts(shared=shared, position=position, rows=batch.rows, cost=cost)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.robust import cauchy
-from calibration.self_calibration.batch_starts import STARTS, batch_starts
+from calibration.self_calibration.batch_starts import STAGES, STARTS, batch_starts
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
@@ -27,6 +27,7 @@ PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place:
 COMBINATIONS_KEPT = 32  # combinations that are tried
 STARTS_KEPT = 4
 QUICK_STARTS = 8
+ROUGH_STARTS = 3  # at the prior's mean, drawn, and drawn and mirrored
 BATCH_STEPS_MAX = 30  # steps of a fit of all samples after the batch of starts
 SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
 GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
@@ -65,7 +66,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
         combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[
             :COMBINATIONS_KEPT
         ]
-    trust = _all_data(problem)
+    trust = all_data(problem)
     first = []
     for chosen in combined:
         shared = problem.prior.mean.copy()
@@ -82,10 +83,16 @@ def quick_start(problem: MotorAngleProblem) -> SampleFit:
     return _from_batch(problem, QUICK_STARTS)[0]
 
 
+def rough_cost(problem: MotorAngleProblem) -> float:
+    """Return the cost of a short fit of points for pulleys, to rank many hypotheses by."""
+    batch = batch_starts(problem, np.random.default_rng(0), ROUGH_STARTS, STAGES[:1])
+    return float(batch.cost.min())
+
+
 def _from_batch(problem: MotorAngleProblem, count: int = STARTS) -> list[SampleFit]:
     """Fit everything from where the best starts of a batch ended."""
     batch = batch_starts(problem, np.random.default_rng(0), count)
-    trust = _all_data(problem)
+    trust = all_data(problem)
     ends = []
     for k in range(len(batch.shared)):
         position = _positions(problem, batch.shared[k])
@@ -105,7 +112,7 @@ def _from_batch(problem: MotorAngleProblem, count: int = STARTS) -> list[SampleF
     return _different_shapes(problem, fits)
 
 
-def _all_data(problem: MotorAngleProblem) -> Trust:
+def all_data(problem: MotorAngleProblem) -> Trust:
     """Return a robust trust in all data, with the noise that is assumed at the start."""
     return Trust(
         line_sigma=START_NOISE_SHARE * problem.longest,

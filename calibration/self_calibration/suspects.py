@@ -9,14 +9,19 @@ import numpy as np
 
 from calibration.self_calibration.blunder_tests import LINE_SIGMA_MIN_M, SettledFit, settle
 from calibration.self_calibration.problem import MotorAngleProblem
-from calibration.self_calibration.solver import SampleFit
-from calibration.self_calibration.starting_points import quick_start
+from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
+from calibration.self_calibration.starting_points import all_data, quick_start, rough_cost
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
 SUSPICIOUS_NOISE_SHARE = 5e-4  # of the longest cable: noise of the line up to that is usual
+EXCHANGED_NOISE_SHARE = 7e-4  # of the longest cable: motors that are exchanged leave more noise
 NOISE_SHARE_USUAL = 2e-3  # of the longest cable: more noise of the line is warned of
 BLUNDER_SHARE_MAX = 0.2  # of the samples: more blunders are none
 NOISE_RATIO_MAX = 1.0 / 3.0  # of the noise: an explanation that leaves less is clearly better
+SETTLED_MAX = 2  # explanations of one kind that are settled: those that fit best roughly
+MISFIT_RATIO_MAX = 0.5  # of the mean square: a rough fit that leaves more is not settled
+ROUGH_STEPS = 5  # of a fit without one cable
 PRIOR_COST_MAX = 9.0  # for each shared unknown: three standard deviations from its prior
 
 
@@ -35,23 +40,29 @@ def suspects(problem: MotorAngleProblem, settled: SettledFit) -> tuple[str, ...]
     if usual and not many:
         return ()
     enough = NOISE_SHARE_USUAL * problem.longest if many else NOISE_RATIO_MAX * noise
-    return (*_exchanged(problem, noise, enough), *_one_cable(problem, settled, noise, enough))
+    found: list[str] = []
+    if many or noise > EXCHANGED_NOISE_SHARE * problem.longest:
+        found += _exchanged(problem, settled, noise, enough)
+    return (*found, *_one_cable(problem, settled, noise, enough))
 
 
-def _exchanged(problem: MotorAngleProblem, noise: float, enough: float) -> list[str]:
+def _exchanged(
+    problem: MotorAngleProblem, settled: SettledFit, noise: float, enough: float
+) -> list[str]:
     """Name the two motors that fit far better exchanged."""
+    others = {
+        pair: _with_exchanged(problem, pair) for pair in combinations(range(problem.robot.n), 2)
+    }
+    rough = {pair: rough_cost(other) for pair, other in others.items()}
+    shared, position = settled.fit.shared, settled.fit.position
+    as_they_are = equations(problem, shared, position, all_data(problem)).cost
     found = []
-    for pair in combinations(range(problem.robot.n), 2):
-        order = np.arange(problem.robot.n)
-        order[list(pair)] = pair[::-1]
-        angles, tension = problem.angles, problem.angles.tension
-        exchanged = replace(
-            angles,
-            motor_angle=angles.motor_angle[:, order],
-            tension=None if tension is None else tension[:, order],
-        )
-        other = MotorAngleProblem(problem.robot, exchanged, problem.settings)
-        found.append((_noise(other, quick_start(other)), pair))
+    for pair in sorted(others, key=lambda pair: rough[pair])[:SETTLED_MAX]:
+        start = quick_start(others[pair])
+        if start.cost < as_they_are:
+            found.append((_noise(others[pair], start), pair))
+    if not found:
+        return []
     left, (first, second) = min(found)
     if left >= min(enough, noise):
         return []
@@ -71,17 +82,57 @@ def _one_cable(
         return []
     # The cable that is left out has no misfit, but counts as one length to spare.
     share = float(np.sqrt(spare / (spare - 1.0)))
-    left = [
-        share * _noise(problem.without(cable=cable), settled.fit)
-        for cable in range(problem.robot.n)
+    rough = _misfits_without(problem, settled, noise)
+    found = [
+        (share * _noise(problem.without(cable=int(cable)), settled.fit), int(cable))
+        for cable in np.argsort(rough)[:SETTLED_MAX]
+        if rough[cable] < MISFIT_RATIO_MAX
     ]
-    worst = int(np.argmin(left))
-    if left[worst] >= min(enough, noise):
+    if not found:
+        return []
+    left, worst = min(found)
+    if left >= min(enough, noise):
         return []
     return [
         f"without cable {problem.robot.cable_names[worst]} the line fits to "
-        f"{_compared(left[worst], noise)}: is this cable slack, off a pulley, or unevenly wound?"
+        f"{_compared(left, noise)}: is this cable slack, off a pulley, or unevenly wound?"
     ]
+
+
+def _with_exchanged(problem: MotorAngleProblem, pair: tuple[int, int]) -> MotorAngleProblem:
+    """Return the problem with the motors of two cables exchanged."""
+    order = np.arange(problem.robot.n)
+    order[list(pair)] = pair[::-1]
+    angles, tension = problem.angles, problem.angles.tension
+    exchanged = replace(
+        angles,
+        motor_angle=angles.motor_angle[:, order],
+        tension=None if tension is None else tension[:, order],
+    )
+    return MotorAngleProblem(problem.robot, exchanged, problem.settings)
+
+
+def _misfits_without(problem: MotorAngleProblem, settled: SettledFit, noise: float) -> Array:
+    """Return what short fits without one cable each leave of the mean square misfit, shape (n,)."""
+    trust = all_data(problem)
+    if np.isfinite(noise):
+        trust = replace(trust, line_sigma=noise)
+    if (~settled.trust.lengths).mean() <= BLUNDER_SHARE_MAX:
+        trust = replace(trust, lengths=settled.trust.lengths, known=settled.trust.known)
+    spare = problem.robot.n - problem.own
+    before = _misfit(problem, settled.fit, trust) / spare
+    left = []
+    for cable in range(problem.robot.n):
+        other = problem.without(cable=cable)
+        short = fit(other, settled.fit.shared, settled.fit.position, trust, steps=ROUGH_STEPS)
+        left.append(_misfit(other, short, trust) / (spare - 1))
+    return np.array(left) / before
+
+
+def _misfit(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> float:
+    """Return the cost without what is known before."""
+    cost = equations(problem, solution.shared, solution.position, trust).cost
+    return cost - problem.before(solution.shared).cost
 
 
 def _compared(left: float, noise: float) -> str:
