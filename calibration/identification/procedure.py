@@ -113,8 +113,9 @@ def identify_runs(
 ) -> Identification:
     """Fit one robot to the poses of several recordings; see `identify`.
 
-    Each recording begins at its own first sample with a motion of its own. Short free oscillations
-    with locked winches will do, from different places and in different directions.
+    Each recording begins with a motion of its own, at its first sample or, of ten or more in which
+    sway and vibrations are apart, half a sway before the first pose that counts. Short free
+    oscillations with locked winches will do, from different places and in different directions.
 
     Args:
         recordings: All of their poses are fitted.
