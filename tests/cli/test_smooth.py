@@ -104,7 +104,7 @@ def test_without_poses_there_are_no_scores(run_file, capsys):
     [
         (("--lag", "-1"), "lag: got -1.0 s; allowed: lag > 0"),
         (("--poses", "all"), "poses"),
-        (("--wind-force", "-1"), "wind_force: got -1.0"),
+        (("--wind-force", "-1"), "--wind-force: got -1.0"),
         (("--output", "nowhere/x.csv"), "a file in an existing folder"),
         (("--output", "x.txt"), "a file name ending in .parquet or .csv"),
         (("--robot", "cogiro"), "8 cables"),

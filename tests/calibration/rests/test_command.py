@@ -61,7 +61,7 @@ def test_options_of_poses_are_refused_without_them_and_the_other_way_round(rests
         capsys.readouterr().err
     )
     assert main(["calibrate", "lengths", rests, "--tension-noise", "0"]) == 2
-    assert "tension_noise: got 0.0; allowed: tension_noise > 0" in capsys.readouterr().err
+    assert "--tension-noise: got 0.0; allowed: --tension-noise > 0" in capsys.readouterr().err
 
 
 def test_lengths_alone_are_refused(drawn, tmp_path, capsys):
