@@ -140,12 +140,9 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        at = self._first
-        whole = self._runs
+        whole, at = self._runs, self._started()
         for share in SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES:
             self._runs = tuple(run.first(share) for run in whole)
-            if self._sways and share == POSE_SHARES[0]:
-                at = self._started(at)
             state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
             at = state.at
         noise = estimate_noise(state.errors)
@@ -169,11 +166,8 @@ class Fitter:
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
-        whole, at = self._runs, self._first
-        if self._sways:
-            self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
-            at = self._started(at)
-        self._runs = tuple(run.first(1.0) for run in whole)
+        at = self._started()
+        self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(at, None, lambda poses, position, rotation: None)
         return self._starts(state.at)
 
@@ -416,17 +410,23 @@ class Fitter:
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
-    def _started(self, at: Array) -> Array:
-        """Let each run start as suits the robot, before that is searched.
+    def _started(self) -> Array:
+        """Return where a search begins; each run that starts before its poses does as suits it.
 
-        Runs start some time before their first pose, of which a first guess is rough.
+        The first guess of such a start is rough: the first poses mend it, before all is searched.
         """
+        at = self._first
+        if not self._sways:
+            return at
+        whole = self._runs
+        self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
         errors = self._errors_at(at)
         for _ in range(STARTS_STEPS_MAX):
             before = at
             at, errors = self._restarted(at, errors, estimate_noise(errors))
             if (at == before).all():
                 break
+        self._runs = whole
         return at
 
     def _restarted(
