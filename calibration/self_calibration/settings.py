@@ -70,7 +70,7 @@ class SelfCalibrationSettings:
             cables end apart from each other. With up to six cables, such a platform is refused
             otherwise.
         accuracy: Wanted standard deviation of the exit points, the mean of their distances from
-            the truth [m]; None: nothing is wanted.
+            the truth [m]; None: 1 % of the longest cable.
         known_sigma: Of known positions per axis, where the file says nothing [m], shape (3,).
         line_sigma: Of the line paid out by a drum [m]; None: estimated from the residuals.
         blunder: Probability of a good sample's misfit below which it counts as a blunder [1].

@@ -24,6 +24,7 @@ NEXT_POSITIONS = 3  # that are named
 GRID_POINTS = 4  # along each side of the workspace from which they are chosen
 LINE_NOISE_SHARE_MAX = 0.02  # of the longest cable: more noise of the line is none
 TAUGHT_SHARE_MAX = 0.75  # of the exit points' sigma before: samples that leave more teach little
+ACCURACY_SHARE = 0.01  # of the longest cable: wanted of the exit points where nothing is stated
 PRIOR_SIGMAS_MAX = 4.0  # standard deviations before: nothing is that far off by chance
 FLAT_SHARE = 0.05  # of their largest extent: samples that close to a plane or line lie in it
 
@@ -219,7 +220,8 @@ def warnings_of(
             f"{problem.prior.names[k]} is {far[k]:.1f} prior standard deviations from its prior: "
             "are cables swapped, or is the robot file wrong there?"
         )
-    wanted = problem.settings.accuracy
+    stated = problem.settings.accuracy
+    wanted = ACCURACY_SHARE * problem.longest if stated is None else stated
     rows = problem.exits.ravel()
     expected = mean_distance(covariance[np.ix_(rows, rows)])
     before = mean_distance(_untaught(problem, settled, frame)[np.ix_(rows, rows)])
@@ -229,10 +231,11 @@ def warnings_of(
             f"{1e3 * before:.1f} mm without them and to {1e3 * expected:.1f} mm with them: samples "
             "spread over the whole workspace are needed"
         )
-    if wanted is not None and expected > wanted:
+    if expected > wanted:
+        usual = f", {ACCURACY_SHARE:.0%} of the longest cable unless stated" * (stated is None)
         lines.append(
             f"exit points are known to {1e3 * expected:.1f} mm on average, not to the "
-            f"{1e3 * wanted:.1f} mm wanted: more samples are needed"
+            f"{1e3 * wanted:.1f} mm wanted{usual}: more samples are needed"
             + next_positions(problem, settled.fit.shared, covariance, settled.trust.line_sigma)
         )
     return tuple(lines)

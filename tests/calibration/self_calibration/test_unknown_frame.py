@@ -640,6 +640,16 @@ def test_samples_that_teach_nothing_about_known_exit_points_are_a_warning(spread
     assert teaches or warnings[0].startswith("the samples teach hardly anything about the exit p")
 
 
+def test_exit_points_that_stay_loose_are_warned_of_where_no_accuracy_is_stated():
+    case = draw_unknown_robot(np.random.default_rng([31, 1, 24]), cables=8, sampling="home")
+    (line,) = calibrate_motor_angles(
+        case.angles, case.before, replace(case.settings, accuracy=None)
+    ).warnings
+    assert "wanted, 1% of the longest cable unless stated" in line
+    enough = replace(case.settings, accuracy=0.1 * case.size)
+    assert calibrate_motor_angles(case.angles, case.before, enough).warnings == ()
+
+
 @pytest.mark.parametrize(("cost", "adopted"), [(-5.0, True), (-0.5, False), (5.0, False)])
 def test_another_solution_that_fits_better_is_adopted(cost, adopted):
     before, _, _, angles = scene(6, 40, known=())
