@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -21,6 +21,7 @@ from learned.environment import EnvironmentSettings, empty_look, lead_of, make_a
 from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
+from learned.shaped_fallback import ShapedFallback
 
 POLICY_SUFFIX = ".onnx"
 ROW_TOLERANCE = 1e-9  # [rows] that are none
@@ -93,7 +94,8 @@ class PolicyController:
         self._aim = _LookaheadRows.of([target + lead / self.period])
         rows = [x.last_row for x in (self._target, self._preview, self._aim)]
         self._last_row = max(rows)
-        self.horizon = self.period * float(self._last_row)
+        self._fallback = ShapedFallback(robot, self.period)
+        self.horizon = max(self.period * float(self._last_row), self._fallback.horizon)
         self._length: Array | None = None
         self._last_action = np.zeros((1, self._actions.size))
         self._mean_error = self._lasting_error = np.zeros((1, 3))
@@ -133,26 +135,39 @@ class PolicyController:
         self._length = straight_length(self._robot, belief.position, belief.rotation).length
         self._last_action = np.zeros((len(belief.position), self._actions.size))
         self._mean_error = self._lasting_error = np.zeros((len(belief.position), 3))
+        self._fallback.reset(self._length)
+
+    @property
+    def fallbacks(self) -> Mapping[str, int]:
+        """Commands of input shaping since the last reset, by reason."""
+        return dict(self._fallback.counts)
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Return the lengths that the policy asks for.
+        """Return the lengths that the policy asks for, or those of input shaping.
+
+        Where the belief is further from the reference than in training, or a target lies outside
+        the workspace box, input shaping commands, and `fallbacks` counts it.
 
         Raises:
-            InvalidField: The belief lacks what the policy observes or is further from the reference
-                than in training, the reference ends before the horizon, or a target lies outside
-                the workspace box.
+            InvalidField: The belief lacks what the policy observes, or the reference ends before
+                the horizon.
         """
         if reference.time.shape[1] <= self._last_row:
             allowed = f"at least {self._last_row + 1}, those of the horizon of {self.horizon:g} s"
             raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
         look = self._look(belief, reference)
-        check_targets(self._scales, look.target)
-        if self._environment.lost is not None:
-            check_near(look, self._environment.lost)
-        self._mean_error, self._lasting_error = look.mean_error, look.lasting_error
-        action = self._policy.act(observe(self._environment.observation, look, self._scales))
-        self._last_action = self._actions.applied(action, look)
-        self._length = self._actions.lengths(self._last_action, look)
+        reasons = untrained_rows(look, self._scales, self._environment.lost)
+        self._fallback.decide(reasons, belief)
+        idle = self._fallback.active
+        self._mean_error, self._lasting_error = (
+            np.where(idle[:, None], 0.0, mean) for mean in (look.mean_error, look.lasting_error)
+        )
+        seen = observe(self._environment.observation, look, self._scales)
+        seen[idle] = 0.0  # nothing is known of what the network does there
+        self._last_action = self._actions.applied(self._policy.act(seen), look)
+        self._last_action[idle] = 0.0
+        length = self._actions.lengths(self._last_action, look)
+        self._length = self._fallback.command(length, belief, reference)
         return Command(time=belief.time, unstrained_length=self._length)
 
     def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
@@ -260,42 +275,25 @@ def check_robot(robot: Robot, policy: Policy) -> None:
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
 
 
-def check_targets(scales: ObservationScales, target: Array) -> None:
-    """Refuse targets outside the workspace box, where a policy has learned nothing.
+def untrained_rows(
+    look: ObservationInputs, scales: ObservationScales, lost: float | None
+) -> dict[int, str]:
+    """Return which rows lie outside of what a policy was trained for, and why.
 
     Args:
-        scales: With the box.
-        target: In W [m], shape (B, 3).
-
-    Raises:
-        InvalidField: Names the row that is furthest outside, and the box.
+        look: What is observed.
+        scales: With the workspace box.
+        lost: Distance from the reference at which training cut episodes short [m]: the platform or
+            the estimator is lost there, and pushing on would make both worse; None: any.
     """
-    unit = np.abs(scales.to_unit(target))
-    if not unit.max() <= 1.0 + BOX_EXCESS_MAX:
-        row = int(np.argmax(unit.max(axis=1)))
-        low, high = scales.center - scales.half, scales.center + scales.half
-        allowed = f"in the workspace box of the policy, {low} m to {high} m"
-        raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
-
-
-def check_near(look: ObservationInputs, lost: float) -> None:
-    """Refuse beliefs so far from the reference that training cut its episodes short there.
-
-    Either the platform is lost or the estimator is; pushing on would make both worse.
-
-    Args:
-        look: With where the platform is believed and due.
-        lost: Largest distance between them [m].
-
-    Raises:
-        InvalidField: Names the row that is furthest off.
-    """
+    reasons = {}
+    outside = np.abs(scales.to_unit(look.target)).max(axis=1) > 1.0 + BOX_EXCESS_MAX
     squares = ((look.position - look.due) ** 2).sum(axis=1)
-    if not squares.max() <= lost**2:
-        row = int(np.argmax(squares))
-        got = f"{squares[row] ** 0.5:.2f} m from the reference"
-        allowed = f"at most {lost:g} m, where episodes of training ended"
-        raise InvalidField(f"belief.position[{row}]", got, allowed)
+    far = np.zeros_like(outside) if lost is None else ~(squares <= lost**2)
+    if outside.any() or far.any():
+        for k in np.flatnonzero(outside | far):
+            reasons[int(k)] = "target outside the box" if outside[k] else "far from the reference"
+    return reasons
 
 
 def list_policies() -> tuple[str, ...]:

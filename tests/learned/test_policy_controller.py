@@ -12,6 +12,7 @@ import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import read_curve
 from learned.policy_controller import (
@@ -157,50 +158,65 @@ def test_tension_limits_matter_to_all_policies(tmp_path, name):
 
 
 @pytest.mark.parametrize("settings", [EnvironmentSettings(observation=("target",)), REALTIME])
-def test_targets_outside_the_workspace_box_are_refused(tmp_path, settings):
+def test_input_shaping_takes_over_for_targets_outside_the_workspace_box(tmp_path, settings):
     robot = ct.load_robot("carosac")
     environment = CableEnvironment(robot, settings)
     sizes = (environment.observation_size, environment.action_size)
     policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
-    controller = PolicyController(robot, policy, PolicySettings())
     start = robot.home_position
     belief = Belief(time=np.zeros(1), position=start[None], rotation=robot.home_rotation[None],
                     twist=np.zeros((1, 6)))  # fmt: skip
-    controller.reset(belief)
     top = float(robot.workspace_max[2])
-    for height, inside in ((top, True), (top + 0.01, True), (top + 0.1, False)):
+    for height, fallbacks in (
+        (top, {}), (top + 0.01, {}), (top + 0.1, {"target outside the box": 1}),
+    ):  # fmt: skip
+        controller = PolicyController(robot, policy, PolicySettings())
+        controller.reset(belief)
         path = trajectories.line((*start[:2], height - 1.0), (*start[:2], height),
                                  speed_max=1.0, acceleration_max=2.0)  # fmt: skip
-        window = path.window(path.duration, controller.horizon, controller.period)
-        if inside:
-            controller.command(belief, window)
-            continue
-        message = rf"reference\.position\[0\]: got \[.* {height:.1f}.*\] m; .*workspace box"
-        with pytest.raises(InvalidField, match=message):
-            controller.command(belief, window)
+        controller.command(
+            belief, path.window(path.duration, controller.horizon, controller.period)
+        )
+        assert controller.fallbacks == fallbacks
 
 
-def test_a_belief_further_off_than_in_training_is_refused(tmp_path):
-    """Of two robots the one that is lost is named; the other one is within what was trained."""
+def test_input_shaping_brings_back_a_robot_that_is_lost(tmp_path):
+    """Of two robots the lost one is taken over smoothly, and given back once it is calm."""
     robot = ct.load_robot("carosac")
     settings = replace(REALTIME, lost=0.5)
     environment = CableEnvironment(robot, settings)
     sizes = (environment.observation_size, environment.action_size)
     policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
     controller = PolicyController(robot, policy, PolicySettings())
-    path = trajectories.build("line", robot, 0)
-    start = path.sample([0.0]).position
-    window = path.window(0.0, controller.horizon, controller.period)
-    belief = Belief(
-        time=np.zeros(2), position=start + np.array([[0.49, 0.0, 0.0], [0.0, 0.0, -0.49]]),
-        rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
-    )  # fmt: skip
-    controller.reset(belief)
-    controller.command(belief, window)
-    further = replace(belief, position=belief.position - np.array([[0.0] * 3, [0.0, 0.0, 0.02]]))
-    wanted = r"belief.position\[1\]: got 0.51 m from the reference; allowed: at most 0.5 m"
-    with pytest.raises(InvalidField, match=wanted):
-        controller.command(further, window)
+    place = robot.home_position
+    path = trajectories.line(
+        place, place + np.array([1e-3, 0.0, 0.0]), speed_max=0.1, acceleration_max=0.1
+    )
+    shaped = statics.inverse_kinematics(robot, path.sample([path.duration]).position)
+
+    def commands(off, begin, end):
+        found = []
+        for k in range(begin, end):
+            belief = Belief(
+                time=np.full(2, 0.02 * k), position=place + np.array([[0.0] * 3, [off, 0.0, 0.0]]),
+                rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
+            )  # fmt: skip
+            if k == 0:
+                controller.reset(belief)
+            window = path.window(0.02 * k, controller.horizon, controller.period)
+            found.append(controller.command(belief, window).unstrained_length)
+        return np.array(found)
+
+    near = commands(0.0, 0, 100)
+    assert controller.fallbacks == {}
+    far = commands(0.51, 100, 250)
+    assert controller.fallbacks == {"far from the reference": 150}
+    back = commands(0.0, 250, 400)
+    assert set(controller.fallbacks) == {"far from the reference", "calming down"}
+    np.testing.assert_allclose(far[-1, 1], shaped.unstrained_length[0], atol=1e-4)
+    np.testing.assert_allclose(back[-1, 1], back[-1, 0], atol=2e-3)  # the policies of both agree
+    steps = np.abs(np.diff(np.concatenate([near, far, back])[60:, 1], axis=0)).max(axis=1)
+    assert steps.max() < 0.02 * 0.3  # no jump: at most 0.3 m/s
 
 
 def test_an_observation_of_another_size_is_refused(tmp_path):
