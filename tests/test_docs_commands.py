@@ -18,6 +18,7 @@ import commands  # noqa: E402
 
 ALL = commands.written()
 PAGES = ("interchange", "tutorial-robot")
+SLOW_PAGE = "first-hour.md"  # a whole guided calibration: `make docs-commands` runs it
 
 
 def command_of(words):
@@ -65,7 +66,9 @@ def test_synopses_name_options_that_there_are(command, capsys):
 def test_quick_commands_run(tmp_path, monkeypatch, quick_pictures):
     monkeypatch.chdir(tmp_path)
     commands.bring(tmp_path)
-    assert commands.run_all(main, commands.to_run(commands.QUICK)) == []
+    quick = [c for c in commands.to_run(commands.QUICK) if c.page != SLOW_PAGE]
+    assert len(quick) < len(commands.to_run(commands.QUICK))
+    assert commands.run_all(main, quick) == []
     for page in PAGES:
         for program in commands.programs(page):
             exec(program, {})  # works on what the commands of the page have made
