@@ -25,6 +25,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.protocols import FallbackSource
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.pictures.style import (
     CONTROLLER_NUMBERS,
@@ -160,7 +161,7 @@ def score(task: Task) -> dict[str, Any]:
     calm = log.position[log.time >= path.duration + CALM, 0]
     later = log.time > 0.5  # the first command meets the encoder bias
     tension = log.tension[later, 0]
-    record = getattr(controller, "record", None)
+    fallbacks = controller.fallbacks if isinstance(controller, FallbackSource) else {}
     return {
         "task": task,
         "rmse": float(np.sqrt((error**2).mean())),
@@ -173,7 +174,8 @@ def score(task: Task) -> dict[str, Any]:
         "limited": len({k for k, _ in log.limited if log.time[k] > 0.5}),
         "speed": float((np.abs(np.diff(log.command[:, 0], axis=0)) / controller.period
                         / robot.speed_max).max()),
-        "fallbacks": sum(record.fallbacks.values()) if record is not None else 0,
+        "fallbacks": sum(fallbacks.values()),
+        "cycles": len(log.time),
         "latency": clock.cpu[5:],
     }  # fmt: skip
 

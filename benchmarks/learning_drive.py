@@ -133,6 +133,13 @@ def latency(rows: Sequence[Row]) -> tuple[float, float]:
     return MS * float(np.median(times)), MS * float(np.quantile(times, 0.95))
 
 
+def fallen(rows: Sequence[Row]) -> float:
+    """Share of the cycles that a fallback commanded [%]."""
+    ran = [r for r in rows if "rmse" in r]
+    cycles = float(sum(r["cycles"] for r in ran))
+    return 100.0 * float(sum(r["fallbacks"] for r in ran)) / max(1.0, cycles)
+
+
 def comparison(rows: dict[Entry, list[Row]]) -> str:
     """Who wins where."""
     lines = []
@@ -150,11 +157,13 @@ def comparison(rows: dict[Entry, list[Row]]) -> str:
             f"{median:.3f}", f"{slowest:.3f}",
             " / ".join(str(len(shared[path])) for path in PATHS),
             str(sum("failed" in r for r in all_mine)),
+            f"{fallen(all_mine):.2f}",
         ))  # fmt: skip
     header = (
         "robot", "controller", *(f"{path}: tracking / sway [mm]" for path in PATHS),
         "outer 10 % over centre", "error of the estimator [mm]", "time with a slack cable [%]",
         "latency, median [ms]", "95 % [ms]", "plants counted", "failed runs",
+        "cycles of a fallback, all runs [%]",
     )  # fmt: skip
     return table(header, lines)
 
