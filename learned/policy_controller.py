@@ -21,7 +21,7 @@ from learned.environment import EnvironmentSettings, empty_look, lead_of, make_a
 from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
-from learned.shaped_fallback import ShapedFallback
+from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
 POLICY_SUFFIX = ".onnx"
 ROW_TOLERANCE = 1e-9  # [rows] that are none
@@ -151,9 +151,11 @@ class PolicyController:
         Raises:
             InvalidField: The belief lacks what the policy observes, or the reference ends before
                 the horizon.
+            UnreachableReference: A target lies outside the box, where the robot cannot rest.
         """
-        if reference.time.shape[1] <= self._last_row:
-            allowed = f"at least {self._last_row + 1}, those of the horizon of {self.horizon:g} s"
+        rows = round(self.horizon / self.period) + 1
+        if reference.time.shape[1] < rows:
+            allowed = f"at least {rows}, those of the horizon of {self.horizon:g} s"
             raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
         look = self._look(belief, reference)
         reasons = untrained_rows(look, self._scales, self._environment.lost)
@@ -167,7 +169,7 @@ class PolicyController:
         self._last_action = self._actions.applied(self._policy.act(seen), look)
         self._last_action[idle] = 0.0
         length = self._actions.lengths(self._last_action, look)
-        self._length = self._fallback.command(length, belief, reference)
+        self._length = self._fallback.command(length, belief, reference, reasons)
         return Command(time=belief.time, unstrained_length=self._length)
 
     def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
@@ -287,12 +289,12 @@ def untrained_rows(
             the estimator is lost there, and pushing on would make both worse; None: any.
     """
     reasons = {}
-    outside = np.abs(scales.to_unit(look.target)).max(axis=1) > 1.0 + BOX_EXCESS_MAX
+    outside = ~(np.abs(scales.to_unit(look.target)).max(axis=1) <= 1.0 + BOX_EXCESS_MAX)
     squares = ((look.position - look.due) ** 2).sum(axis=1)
     far = np.zeros_like(outside) if lost is None else ~(squares <= lost**2)
     if outside.any() or far.any():
         for k in np.flatnonzero(outside | far):
-            reasons[int(k)] = "target outside the box" if outside[k] else "far from the reference"
+            reasons[int(k)] = OUTSIDE if outside[k] else FAR
     return reasons
 
 

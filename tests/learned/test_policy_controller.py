@@ -11,8 +11,10 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.studies.run.run_case import Truth
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import read_curve
 from learned.policy_controller import (
@@ -26,8 +28,10 @@ from learned.policy_controller import (
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.presets import find_preset
 from learned.rewards import RewardSettings
+from learned.shaped_fallback import ShapedFallback
 from learned.target_paths import PathSettings, sampled
 from learned.training_record import with_later_fields
+from sim_warp.driver import SimDriver, SimDriverSettings
 
 REALTIME = EnvironmentSettings(
     world="realtime",
@@ -217,6 +221,89 @@ def test_input_shaping_brings_back_a_robot_that_is_lost(tmp_path):
     np.testing.assert_allclose(back[-1, 1], back[-1, 0], atol=2e-3)  # the policies of both agree
     steps = np.abs(np.diff(np.concatenate([near, far, back])[60:, 1], axis=0)).max(axis=1)
     assert steps.max() < 0.02 * 0.3  # no jump: at most 0.3 m/s
+
+
+FAR_OFF = np.array([0.6, 0.0, 0.0])
+
+
+class Glitch:
+    """The truth, but for some beliefs that are far off."""
+
+    def __init__(self, driver, begin, end):
+        self._truth, self._begin, self._end = Truth(driver), begin, end
+
+    def reset(self, measurement):
+        return self._truth.reset(measurement)
+
+    def update(self, belief, command, measurement):
+        now = self._truth.update(belief, command, measurement)
+        wrong = self._begin <= now.time[0] < self._end
+        return replace(now, position=now.position + FAR_OFF) if wrong else now
+
+
+@pytest.mark.parametrize("lost_for", [0.08, 10.0])
+def test_input_shaping_takes_over_in_motion_without_a_jerk(lost_for):
+    """At full speed; then no cable accelerates beyond its limit, and the platform stays near."""
+    robot = ct.load_robot("carosac")
+    controller = PolicyController.build(robot)
+    place = robot.home_position
+    path = trajectories.line(place + np.array([-1.0, -1.0, 0.0]), place + np.array([1.0, 1.0, 0.5]),
+                             speed_max=1.0, acceleration_max=1.0)  # fmt: skip
+    middle = 0.5 * path.duration
+    start = tuple(path.sample([0.0]).position[0])
+    settings = SimDriverSettings(period=controller.period, start_position=start)
+    driver = SimDriver.build(robot, settings)
+    log = run(driver, Glitch(driver, middle, middle + lost_for), controller, path,
+              duration=path.duration + 2.0)  # fmt: skip
+    fallbacks = controller.fallbacks
+    assert fallbacks["far from the reference"] == sum(
+        middle <= t < middle + lost_for for t in log.time
+    )
+    error = np.linalg.norm(log.position - log.reference, axis=2)[:, 0]
+    assert error.max() < 0.12  # input shaping alone: 0.053
+    around = np.abs(log.time - middle) < 0.5
+    rate = np.diff(log.command[:, 0], axis=0) / controller.period
+    acceleration = np.abs(np.diff(rate, axis=0)) / controller.period
+    assert acceleration[around[2:]].max() < robot.acceleration_max.max()
+
+
+def test_each_of_two_robots_has_its_own_reference(tmp_path):
+    robot = ct.load_robot("carosac")
+    settings = replace(REALTIME, lost=0.5)
+    environment = CableEnvironment(robot, settings)
+    sizes = (environment.observation_size, environment.action_size)
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
+    controller = PolicyController(robot, policy, PolicySettings())
+    places = robot.home_position + np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.1]])
+    rows = round(controller.horizon / controller.period) + 1
+    still = np.zeros((2, rows, 3))
+    window = Reference(
+        time=np.tile(controller.period * np.arange(rows), (2, 1)),
+        position=np.repeat(places[:, None], rows, axis=1), velocity=still, acceleration=still,
+        rotation=np.tile(robot.home_rotation, (2, rows, 1, 1)),
+    )  # fmt: skip
+    belief = Belief(
+        time=np.zeros(2), position=places + np.array([[0.0] * 3, [0.6, 0.0, 0.0]]),
+        rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
+    )  # fmt: skip
+    controller.reset(belief)
+    for _ in range(2):  # a reset gives back who has commanded
+        for k in range(80):
+            later = replace(belief, time=belief.time + controller.period * k)
+            moved = replace(window, time=window.time + controller.period * k)
+            lengths = controller.command(later, moved).unstrained_length
+        rest = statics.inverse_kinematics(robot, places[1:]).unstrained_length
+        np.testing.assert_allclose(lengths[1:], rest, atol=1e-4)
+        assert controller.fallbacks == {"far from the reference": 80}
+        controller.reset(belief)
+
+
+@pytest.mark.parametrize("name", ["hangprinter", "desktop", "warehouse"])
+def test_any_robot_has_something_to_fall_back_on(name):
+    robot = ct.load_robot(name)
+    fallback = ShapedFallback(robot, 0.02)
+    assert fallback.horizon >= 0.0
+    assert not fallback.active.any()
 
 
 def test_an_observation_of_another_size_is_refused(tmp_path):

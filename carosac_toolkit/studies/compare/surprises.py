@@ -257,8 +257,8 @@ def _fallbacks(results: StudyResults) -> Iterator[str]:
     ):
         causes = ", ".join(f"{name} {number}" for name, number in line["fallbacks_by"].items())
         yield (
-            f"{label} had no new plan in {percent(line['fallback_share'])} of its cycles and fell "
-            f"back on an old plan or on rest ({causes})."
+            f"{label} could not command as it is meant to in {percent(line['fallback_share'])} of "
+            f"its cycles and fell back on something else ({causes})."
         )
 
 

@@ -179,7 +179,10 @@ def test_identical_rows_are_told_with_the_remark_of_the_controller():
 def test_fallbacks_are_told_with_their_reasons():
     counts = json.dumps({"belief": 15, "late": 5})
     (text,) = surprises(study(rows("mpc", fallbacks=20, fallbacks_by=counts)))
-    assert "no new plan in 20 % of its cycles" in text and "(belief 30, late 10)" in text
+    assert (
+        "could not command as it is meant to in 20 % of its cycles" in text
+        and "(belief 30, late 10)" in text
+    )
 
 
 def test_names_stand_on_lines_of_their_own_where_they_leave_no_room():
