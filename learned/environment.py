@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -198,6 +199,10 @@ class CableEnvironment:
     def paths(self) -> tuple[TargetPath, ...]:
         """The targets of the present episodes."""
         return tuple(self._paths)
+
+    def watch_paths(self, watch: Callable[[int], None] | None) -> None:
+        """Call something with the number of paths after each that is drawn."""
+        self._pool.watch = watch
 
     def first_paths(self, count: int) -> list[TargetPath]:
         """Return the first paths of the pool, all different."""

@@ -91,7 +91,11 @@ class TargetPath:
 
 
 class PathPool:
-    """The paths that the episodes of an environment follow, each drawn when it is needed first."""
+    """The paths that the episodes of an environment follow, each drawn when it is needed first.
+
+    Attributes:
+        watch: Called with the number of paths after each that is drawn; None: nothing is.
+    """
 
     def __init__(
         self, robot: Robot, settings: PathSettings, seed: int, feasible: Feasible | None = None
@@ -101,12 +105,15 @@ class PathPool:
         self._seed = seed
         self._feasible = feasible
         self._paths: dict[int, TargetPath] = {}
+        self.watch: Callable[[int], None] | None = None
 
     def path(self, index: int) -> TargetPath:
         """Return a path by its number, always the same one."""
         if index not in self._paths:
             rng = np.random.default_rng([self._seed, 7, index])
             self._paths[index] = draw_path(*self._arguments, rng, self._feasible)
+            if self.watch is not None:
+                self.watch(len(self._paths))
         return self._paths[index]
 
 

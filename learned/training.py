@@ -12,6 +12,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
@@ -68,6 +70,7 @@ STOP_NOTICE = (
 )
 
 Report = Callable[[dict[str, float], float], None]
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,14 +123,16 @@ class TrainingJob:
 
 
 def train(
-    job: TrainingJob, folder: Path, *, report: Report | None = None, stop_after: int | None = None
-) -> Path | None:
+    job: TrainingJob, folder: Path, *, report: Report | None = None, tell: Tell | None = None,
+    stop_after: int | None = None,
+) -> Path | None:  # fmt: skip
     """Train, or go on with what was begun in a folder.
 
     Args:
         job: What to train.
         folder: For everything; made if it is not there.
         report: Called with each point of the learning curve and the seconds left.
+        tell: Called with what goes on, in words, many times a second.
         stop_after: End after so many environment steps, as if killed then; for tests.
 
     Returns:
@@ -145,7 +150,7 @@ def train(
     if _finished(job, folder):
         return folder / POLICY_FILE  # as the code that trained it wrote it
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
-    run = _Run(job, folder, report)
+    run = _Run(job, folder, report, tell)
     made = missing_folders(folder)
     try:
         run.begin()
@@ -170,13 +175,17 @@ def _finished(job: TrainingJob, folder: Path) -> bool:
 class _Run:
     """One training in one folder."""
 
-    def __init__(self, job: TrainingJob, folder: Path, report: Report | None) -> None:
+    def __init__(
+        self, job: TrainingJob, folder: Path, report: Report | None, tell: Tell | None = None
+    ) -> None:
         from learned.td3 import build_model
         from learned.vector_environment import CableVecEnv
 
         self.job = job
         self.folder = folder
         self.report = report
+        self.tell = tell or _say_nothing
+        self.tell("making the worlds")
         td3, settings = job.stage.td3, job.stage.environment
         cables = CableEnvironment(
             job.robot, settings, size=td3.environments, seed=job.seed, device=job.device
@@ -186,12 +195,18 @@ class _Run:
             job.robot, curve_settings(settings), size=TEST_PATHS, seed=TEST_SEED,
             device=job.device,
         )  # fmt: skip
+        cables.watch_paths(partial(self._tell_of_paths, "the training"))
+        self.test.watch_paths(partial(self._tell_of_paths, "the learning curve"))
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
         self.rows: list[dict[str, float]] = []
         self.episodes: list[Episode] = []
         self.before = 0.0  # CPU seconds of earlier processes
         self.began = time.process_time()
+
+    def _tell_of_paths(self, where: str, count: int) -> None:
+        """Tell how many paths are drawn."""
+        self.tell(f"{counted(count, 'path')} of {where} drawn")
 
     @property
     def spent(self) -> float:
@@ -265,6 +280,7 @@ class _Run:
             model.action_noise, learning_starts=model.learning_starts,
         )  # fmt: skip
         self._keep_episodes()
+        self.tell(f"step {model.num_timesteps} of {td3.steps}")
         if model.num_timesteps > model.learning_starts:
             model.train(td3.gradient_steps, td3.batch_size)
         every = max(CURVE_INTERVAL_MIN, td3.steps // CURVE_POINTS_MAX)
@@ -358,6 +374,10 @@ class _Run:
         with refusing_damage(self.job.start):
             networks = take_networks(self.model, state)
         return earlier.as_start(self.job.settings()["start"], state["steps"], networks)
+
+
+def _say_nothing(_: str) -> None:
+    """Tell nobody."""
 
 
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:

@@ -30,6 +30,7 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE
 from learned.checkpoint import CHECKPOINT_FILE
+from learned.commands.status_line import StatusLine
 from learned.learning_curve import CURVE_FILE, read_curve
 from learned.presets import Preset, PresetName, Stage, find_preset
 from learned.setting_changes import check_changes, read_changes, read_variations
@@ -177,12 +178,20 @@ def _train(job: TrainingJob, folder: Path) -> dict[str, Any]:
     print(f"\n{job.stage_name}: {job.stage.td3.steps} steps to {folder}")
     _say_when_it_begins(job.stage)
     print("     steps  updates  CPU [s]  median [mm]  of means [mm]  p95 [mm]  incons. [mm]  left")
+    status = StatusLine()
+
+    def report(row: dict[str, float], left: float) -> None:
+        status.clear()
+        _report(row, left)
+
     try:
-        policy = train(job, folder, report=_report)
+        policy = train(job, folder, report=report, tell=status.tell)
     except KeyboardInterrupt:
         if (folder / CHECKPOINT_FILE).exists():
             print("stopped; the same command goes on from the last checkpoint", flush=True)
         raise
+    finally:
+        status.clear()
     assert policy is not None
     rows = read_curve(folder / CURVE_FILE)
     curve = curve_of(folder, f"seed {job.seed}")
