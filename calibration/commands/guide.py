@@ -145,7 +145,7 @@ def _run(
     if options.output is not None and refused:
         print(f"\nno new robot file is written: the verdict is negative ({options.output})")
     elif options.output is not None:
-        noise = replace(priors, line_sigma=guide.known.line_sigma)
+        noise = replace(priors, line_sigma=guide.known.line_sigma, accuracy=options.accuracy)
         result = calibrate_motor_angles(samples.measured(), robot, noise)
         provenance = f"guided self-calibration, samples in {samples.path.name}"
         write_new_robot(result, options.robot, options.output, provenance=provenance)

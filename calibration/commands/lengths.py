@@ -108,8 +108,8 @@ class Options(CommonOptions):
     """Motor angles without known positions: cable whose exit point is above or below the x axis; by
     default the exit points of the robot file tell the heading."""
     accuracy: float | None = None
-    """Motor angles: wanted standard deviation of the exit points [m]; a warning says if it is not
-    reached."""
+    """Motor angles: wanted standard deviation of the exit points [m], by default 1 % of the longest
+    cable; a warning says if it is not reached."""
     keeps_rotation: bool = False
     """Motor angles, six cables or fewer: the platform is built to keep its rotation, though its
     cables end apart from each other."""
