@@ -26,6 +26,7 @@ from calibration.identification.synthetic_oscillations import (
     simulate_oscillations,
 )
 from calibration.identification.unknowns import Coordinates, choose_coordinates
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
@@ -78,9 +79,9 @@ class Score:
         nees: Normalised squared error of the parameters, over their number [1].
         beyond: Parameters that are off by more than three of their sigmas.
         worst: The worst of them.
-        count: Of all parameters.
-        seconds: Of processors.
-        wall: By the clock [s].
+        count: How many parameters were identified.
+        seconds: Time of processors [s].
+        wall: Time by the clock [s].
     """
 
     frequency: float
@@ -153,7 +154,8 @@ def measure(
     found = score(choose_coordinates(robot, settings), result, plant, runs)
     found = replace(found, seconds=used, wall=wall)
     KEPT.mkdir(exist_ok=True)
-    path.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(asdict(found)), encoding="utf-8")
     return found
 
 
