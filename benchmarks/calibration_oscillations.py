@@ -27,6 +27,7 @@ from calibration.identification.synthetic_oscillations import (
 )
 from calibration.identification.unknowns import Coordinates, choose_coordinates
 from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
@@ -138,13 +139,18 @@ def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
     return float(np.abs(frequency[0] / frequency[1] - 1.0).max())
 
 
+def read(path: Path) -> Score:
+    """Return the score of a robot that was identified before."""
+    return Score(**json.loads(path.read_text(encoding="utf-8")))
+
+
 def measure(
     cables: int, seed: int, options: OscillationSettings, settings: IdentificationSettings
 ) -> Score:
     """Identify a drawn robot, unless that was kept."""
     path = KEPT / f"{cables}-{seed}.json"
     if path.is_file():
-        return Score(**json.loads(path.read_text(encoding="utf-8")))
+        return read(path)
     robot = robot_with_pulleys(cables)
     plant = draw_plant(robot, settings, seed)
     runs = simulate_oscillations(plant, seed, options)
@@ -165,7 +171,7 @@ def rows_of(cables: int, scores: list[Score]) -> list[str]:
     low, high = chi2.ppf([0.025, 0.975], count) / count
     nees = sum(one.nees * one.count for one in scores) / count
     return [
-        f"| {cables} cables, {len(scores)} robots | {what} | {bar} | {value} |"
+        f"| {cables} cables, {counted(len(scores), 'robot')} | {what} | {bar} | {value} |"
         for what, bar, value in (
             ("frequencies, worst of all", "0.5 %",
              f"{100.0 * max(s.frequency for s in scores):.2f} %"),
@@ -201,8 +207,7 @@ def main() -> None:
             print(cables, seed, measure(cables, seed, options, SURVEYED), flush=True)
     rows = []
     for cables in CABLES:
-        kept = [KEPT / f"{cables}-{seed}.json" for seed in range(given.seeds)]
-        scores = [measure(cables, k, options, SURVEYED) for k, p in enumerate(kept) if p.is_file()]
+        scores = [read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))]
         rows += rows_of(cables, scores) if scores else []
     text = [
         f"{options.count} free oscillations of {options.duration:g} s at {options.rate:g} Hz, none "
