@@ -161,20 +161,33 @@ def test_tension_limits_matter_to_all_policies(tmp_path, name):
         PolicyController(other, policy, PolicySettings())
 
 
-@pytest.mark.parametrize("settings", [EnvironmentSettings(observation=("target",)), REALTIME])
-def test_input_shaping_takes_over_for_targets_outside_the_workspace_box(tmp_path, settings):
-    robot = ct.load_robot("carosac")
+def random_controller(tmp_path, robot, settings):
+    """A controller whose policy has learned nothing."""
     environment = CableEnvironment(robot, settings)
     sizes = (environment.observation_size, environment.action_size)
     policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
+    return PolicyController(robot, policy, PolicySettings())
+
+
+def belief_at(robot, position, time=0.0):
+    """Robots believed to be at rest at positions (B, 3), turned as at home."""
+    size = len(position)
+    return Belief(
+        time=np.full(size, time), position=position,
+        rotation=robot.home_rotation[None].repeat(size, axis=0), twist=np.zeros((size, 6)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("settings", [EnvironmentSettings(observation=("target",)), REALTIME])
+def test_input_shaping_takes_over_for_targets_outside_the_workspace_box(tmp_path, settings):
+    robot = ct.load_robot("carosac")
     start = robot.home_position
-    belief = Belief(time=np.zeros(1), position=start[None], rotation=robot.home_rotation[None],
-                    twist=np.zeros((1, 6)))  # fmt: skip
+    belief = belief_at(robot, start[None])
     top = float(robot.workspace_max[2])
     for height, fallbacks in (
         (top, {}), (top + 0.01, {}), (top + 0.1, {"target outside the box": 1}),
     ):  # fmt: skip
-        controller = PolicyController(robot, policy, PolicySettings())
+        controller = random_controller(tmp_path, robot, settings)
         controller.reset(belief)
         path = trajectories.line((*start[:2], height - 1.0), (*start[:2], height),
                                  speed_max=1.0, acceleration_max=2.0)  # fmt: skip
@@ -188,10 +201,7 @@ def test_input_shaping_brings_back_a_robot_that_is_lost(tmp_path):
     """Of two robots the lost one is taken over smoothly, and given back once it is calm."""
     robot = ct.load_robot("carosac")
     settings = replace(REALTIME, lost=0.5)
-    environment = CableEnvironment(robot, settings)
-    sizes = (environment.observation_size, environment.action_size)
-    policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
-    controller = PolicyController(robot, policy, PolicySettings())
+    controller = random_controller(tmp_path, robot, settings)
     place = robot.home_position
     path = trajectories.line(
         place, place + np.array([1e-3, 0.0, 0.0]), speed_max=0.1, acceleration_max=0.1
@@ -201,10 +211,8 @@ def test_input_shaping_brings_back_a_robot_that_is_lost(tmp_path):
     def commands(off, begin, end):
         found = []
         for k in range(begin, end):
-            belief = Belief(
-                time=np.full(2, 0.02 * k), position=place + np.array([[0.0] * 3, [off, 0.0, 0.0]]),
-                rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
-            )  # fmt: skip
+            there = place + np.array([[0.0] * 3, [off, 0.0, 0.0]])
+            belief = belief_at(robot, there, time=0.02 * k)
             if k == 0:
                 controller.reset(belief)
             window = path.window(0.02 * k, controller.horizon, controller.period)
@@ -270,10 +278,7 @@ def test_input_shaping_takes_over_in_motion_without_a_jerk(lost_for):
 def test_each_of_two_robots_has_its_own_reference(tmp_path):
     robot = ct.load_robot("carosac")
     settings = replace(REALTIME, lost=0.5)
-    environment = CableEnvironment(robot, settings)
-    sizes = (environment.observation_size, environment.action_size)
-    policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
-    controller = PolicyController(robot, policy, PolicySettings())
+    controller = random_controller(tmp_path, robot, settings)
     places = robot.home_position + np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.1]])
     rows = round(controller.horizon / controller.period) + 1
     still = np.zeros((2, rows, 3))
@@ -282,10 +287,7 @@ def test_each_of_two_robots_has_its_own_reference(tmp_path):
         position=np.repeat(places[:, None], rows, axis=1), velocity=still, acceleration=still,
         rotation=np.tile(robot.home_rotation, (2, rows, 1, 1)),
     )  # fmt: skip
-    belief = Belief(
-        time=np.zeros(2), position=places + np.array([[0.0] * 3, [0.6, 0.0, 0.0]]),
-        rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
-    )  # fmt: skip
+    belief = belief_at(robot, places + np.array([[0.0] * 3, [0.6, 0.0, 0.0]]))
     controller.reset(belief)
     for _ in range(2):  # a reset gives back who has commanded
         for k in range(80):
@@ -316,10 +318,7 @@ def test_an_observation_of_another_size_is_refused(tmp_path):
 
 def test_what_the_belief_lacks_is_said(tmp_path):
     robot = ct.load_robot("carosac")
-    environment = CableEnvironment(robot, REALTIME)
-    sizes = (environment.observation_size, environment.action_size)
-    policy = random_policy(tmp_path / "p.onnx", robot, REALTIME, sizes)
-    controller = PolicyController(robot, policy, PolicySettings())
+    controller = random_controller(tmp_path, robot, REALTIME)
     belief = Belief(
         time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
     )
