@@ -131,7 +131,7 @@ class ShapedFallback:
             if row.shaped:
                 assert row.shaper is not None
                 try:
-                    command = row.shaper.command(_row(belief, k), _reference(reference, k))
+                    command = row.shaper.command(_belief(belief, k), _reference(reference, k))
                     sent[k] = command.unstrained_length[0]
                 except CarosacError:
                     if reasons.get(k) == OUTSIDE:
@@ -151,14 +151,14 @@ class ShapedFallback:
         row.shaper = row.shaper or (
             self._spare.pop() if self._spare else _build(self._robot, self._period)
         )
-        row.shaper.reset(_row(belief, k))
+        row.shaper.reset(_belief(belief, k))
         row.shaped, row.passed, row.apart, row.before = True, 0.0, None, None
         last = len(self._past) - 1
         calls = sorted({round(x) for x in np.linspace(0, last, PAST_CALLS)}) if self._past else []
         for index in calls:
             past = _reference(self._past[index], k)
             try:
-                command = row.shaper.command(_row(belief, k), past)
+                command = row.shaper.command(_belief(belief, k), past)
             except CarosacError:
                 continue  # no rest there
             if index == last:
@@ -199,8 +199,8 @@ def _build(robot: Robot, period: float) -> Controller:
     raise AssertionError(CONTROLLERS)
 
 
-def _row(belief: Belief, k: int) -> Belief:
-    """Return what the controllers need of one row: time and pose."""
+def _belief(belief: Belief, k: int) -> Belief:
+    """Return the belief about one robot, as far as these controllers need it: time and pose."""
     one = slice(k, k + 1)
     return Belief(
         time=belief.time[one], position=belief.position[one], rotation=belief.rotation[one]
