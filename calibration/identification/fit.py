@@ -45,6 +45,9 @@ CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing sho
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
 # make steps too short
+# The same where only the sway counts: parameters that nearly make up for each other are a long way
+# from linear there.
+SWAY_STRETCHES = (0.3, 1.0, 2.0)
 START_STRETCHES = (1.0, 0.4, 0.1)  # of a step of the starts alone, of which the best is taken
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 # What damps vibrations of cables alone: where only the sway is seen it stays as known before. A fit
@@ -124,6 +127,7 @@ class Fitter:
             [unknowns.prior.mean if robot_at is None else robot_at]
             + [run.sway.guess for run in runs]
         )
+        self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
         if self._sways:  # vibrations are not seen
@@ -153,6 +157,7 @@ class Fitter:
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
+        covariance = self._with_unseen(covariance, inverse, state, noise)
         information /= self._axes * excess
         return CoordinateFit(
             coordinates=at[own],
@@ -163,6 +168,37 @@ class Fitter:
             iterations=state.count,
             converged=state.settled,
         )
+
+    def _with_unseen(
+        self, covariance: Array, inverse: Array, state: _Search, noise: PoseErrorNoise
+    ) -> Array:
+        """Return a covariance with what coordinates add that are held where they were (Schmidt).
+
+        They are not told by what is seen, but their being wrong moves what is.
+
+        Args:
+            covariance: Without that.
+            inverse: Of the Hessian.
+            state: Where the search ended.
+            noise: Of the errors there.
+        """
+        held = ~self._searched
+        held[self._count :] = False
+        rows = np.flatnonzero(held)
+        if not (self._sways and len(rows)):
+            return covariance
+        seen = self._slopes(state.at, held, self._time_step, coarse=False)
+        moved = np.zeros((len(covariance), len(rows)))
+        for own, errors, jacobian, beside in zip(
+            self._own, state.errors, state.jacobians, seen, strict=True
+        ):
+            weights = noise.weights(errors)
+            moved[own] += np.einsum("nci,nc,ncj->ij", jacobian, weights, beside[:, :, rows])
+        moved = inverse @ moved
+        moved[rows] = -np.eye(len(rows))
+        known = np.linalg.inv(self._precision[np.ix_(rows, rows)])
+        apart = np.where(np.logical_or.outer(held, held), 0.0, covariance)
+        return np.asarray(apart + moved @ known @ moved.T)
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
@@ -314,10 +350,45 @@ class Fitter:
         Coarse ones come from longer time steps: half the work, and the same within a percent or so.
         That leads to where the search ends within a sigma, and exact ones lead to its end. Where
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
+        Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
+        for each other show by less than a hundredth of what each of them does.
         """
-        time_step = (COARSE_STEP_RATIO if coarse and not self._sways else 1.0) * self._time_step
         searched = self._searched.copy()
         searched[: self._count] &= not starts
+        exact = self._sways and not coarse
+        ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
+        plain = self._slopes(at, searched, ratio * self._time_step, coarse=coarse)
+        if not exact:
+            return plain
+        if self._finer is None:  # once: it changes by less than the derivatives do
+            rough, fine = (
+                self._slopes(at, searched, self._time_step, coarse=True, refined=parts)
+                for parts in (1, 2)
+            )
+            self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
+        return [each + more for each, more in zip(plain, self._finer, strict=True)]
+
+    def _slopes(
+        self,
+        at: Array,
+        searched: NDArray[np.bool_],
+        time_step: float,
+        *,
+        coarse: bool,
+        refined: int = 1,
+    ) -> list[Array]:
+        """Return differences of errors over their width, central for many recordings if not coarse.
+
+        Args:
+            at: All coordinates.
+            searched: By which of them.
+            time_step: At most [s].
+            coarse: True for forward differences.
+            refined: Steps that each of these is divided into.
+
+        Returns:
+            Of each run, shape (K, 6, p).
+        """
         varied = [own[searched[own]] for own in self._own]
         central = self._many and not coarse
         step = FORWARD_STEP_OF_MANY if self._many and coarse else FINITE_DIFFERENCE_STEP
@@ -330,6 +401,7 @@ class Fitter:
                 for rows in varied
             ],
             time_step,
+            refined=refined,
         )
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
@@ -386,7 +458,8 @@ class Fitter:
         lowest = self._cost(at, errors, noise)
         for _ in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
-            points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
+            stretches = SWAY_STRETCHES if self._sways else STRETCHES
+            points = np.array([self._moved(at, stretch * step) for stretch in stretches])
             trials, good = self._errors([points] * len(self._runs))
             costs = [
                 self._cost(point, [each[k] for each in trials], noise)
