@@ -26,13 +26,14 @@ from calibration.identification.synthetic_oscillations import (
     simulate_oscillations,
 )
 from calibration.identification.unknowns import Coordinates, choose_coordinates
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.parameters import values_of
+from carosac_toolkit.robot.parameters import turn_between, values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
 
@@ -43,6 +44,7 @@ PULLEY_RADIUS_M = 0.04
 DRAWN_SIGMAS_MAX = 2.0  # prior sigmas: no truth is drawn farther away
 FRICTION_SIGMAS = (0.7, 2.0)  # range of dry friction, in its prior sigmas
 FRICTION = ("exit_friction", "anchor_friction")
+DERIVATIVE_STEP = 1e-6  # of coordinates
 # A robot whose geometry was surveyed and whose lengths were calibrated; winches are locked.
 SURVEYED = IdentificationSettings(
     exit_points=1e-3, anchor_points=5e-4, length_offset=2e-3, length_scale=0.0, length_delay=0.0,
@@ -100,14 +102,15 @@ class Score:
 def score(
     unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
 ) -> Score:
-    """Compare an identified robot with the true one; factors by their logarithm."""
+    """Compare an identified robot with the true one, in the coordinates of the search.
+
+    A Gaussian is right for these: stiffness and run length, for one, are known to a stiffness of
+    the whole cable far better than each of them, along a curve.
+    """
     estimate = result.estimate
-    truth = values_of(plant, estimate.names)
-    factor = unknowns.factor > 0.0
-    off = np.where(factor, 0.0, estimate.value - truth)
-    off[factor] = np.log(estimate.value[factor] / truth[factor])
-    unit = np.where(factor, estimate.value, 1.0)
-    covariance = estimate.covariance / np.outer(unit, unit)
+    slope = _derivative(unknowns, result.robot)
+    off = _coordinates(unknowns, result.robot) - _coordinates(unknowns, plant)
+    covariance = slope @ estimate.covariance @ slope.T
     shares = np.abs(off) / np.sqrt(np.diag(covariance))
     worst = int(np.argmax(shares))
 
@@ -125,6 +128,41 @@ def score(
         worst=f"{shares[worst]:.1f} {estimate.names[worst]}",
         count=len(off),
     )
+
+
+def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
+    """Return the coordinates (k,) of a robot, the inverse of `Coordinates.robot_at`."""
+    names, start = unknowns.prior.names, unknowns.robot
+    exits = robot.exit_points
+    if not unknowns.anchored:
+        exits = exits @ turn_between(start, robot)
+    before = values_of(start, names)
+    after = values_of(replace(robot, exit_points=exits), names)
+    for i, name in enumerate(names):
+        if name == "axial_stiffness":  # of the whole cable
+            after[i] *= (unknowns.reach + start.run_length[0]) / (
+                unknowns.reach + robot.run_length[0]
+            )
+        if name.startswith("inertia."):  # the spread of mass along an axis
+            k = "xyz".index(name[-1])
+            before[i], after[i] = (
+                0.5 * np.trace(each.inertia) - each.inertia[k, k] for each in (start, robot)
+            )
+    change = after - before
+    factor = unknowns.factor > 0.0
+    change[factor] = np.log(after[factor] / before[factor])
+    return np.asarray(change / unknowns.scale)
+
+
+def _derivative(unknowns: Coordinates, robot: Robot) -> Array:
+    """Return the derivative of coordinates by parameters at a robot, shape (k, k)."""
+    at = _coordinates(unknowns, robot)
+    here = values_of(robot, unknowns.prior.names)
+    columns = [
+        (values_of(unknowns.robot_at(at + step), unknowns.prior.names) - here) / DERIVATIVE_STEP
+        for step in DERIVATIVE_STEP * np.eye(len(at))
+    ]  # bounds lie below
+    return np.asarray(np.linalg.inv(np.stack(columns, axis=1)))
 
 
 def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
