@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from baselines.mpc.observer import BELIEF_GATE, SLACK_EXCESS
+from baselines.mpc.length_offsets import SLACK_EXCESS
+from baselines.mpc.observer import BELIEF_GATE
 from carosac_toolkit.base.scaled import Ratios, Scaled
 
 TAUT_TIME = Scaled(0.3, "s")  # with all cables taut, before a new plan begins

@@ -185,7 +185,7 @@ class Mpc:
         improved = self._planner.improve(
             start, target, time=now, load=self._observer.load,
             acceleration=self._winches.acceleration_range(),
-            offset=self._excess.value + self._observer.surplus,
+            offset=self._excess.value + self._observer.lengths.surplus,
         )  # fmt: skip
         self.record.solve_time = time.perf_counter() - began
         self.record.solves += 1
@@ -227,7 +227,7 @@ class Mpc:
                 spin_rate=(state[9:] - before[9:]) / self.period,
             ),
         )  # fmt: skip
-        length = geometry.length + self._excess.value + self._observer.surplus
+        length = geometry.length + self._excess.value + self._observer.lengths.surplus
         return self._winches.follow(length, geometry.jacobian @ state[6:])
 
     def _fall_back(self, now: float) -> Array:
@@ -248,7 +248,7 @@ class Mpc:
         self._planner.reset()
         self._observer.forget()
         acceleration, has_goal = self._rest.acceleration(
-            self._place, self._winches.length, self._winches.rate, self._observer.kept
+            self._place, self._winches.length, self._winches.rate, self._observer.lengths.kept
         )
         self.record.fallbacks["to rest" if has_goal else "hold"] += 1
         return self._winches.accelerate(acceleration)

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baselines.mpc.geometry import Geometry, geometry_at
+from baselines.mpc.length_offsets import LengthOffsets
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.unknown_load import PlannedMotion, UnknownLoad
 from carosac_toolkit.base.arrays import Array
@@ -29,12 +30,8 @@ from carosac_toolkit.robot.robot import Robot
 
 NEWTON_STEPS_MAX = 5
 LENGTH_TOLERANCE = Scaled(1e-6, "m")  # of Newton's method
-SLACK_EXCESS = Scaled(0.05, "m")  # a cable that is longer than believed by more is slack
 # From lengths sent to believed ones: beyond it, cables must be slack.
 BELIEF_GATE = Scaled(0.2, "m")
-# Time constant of offsets: short against a path, long against encoder noise.
-OFFSET_TIME = Scaled(0.5, "s")
-OFFSET_MAX = Scaled(0.1, "m")  # what exceeds it is slack, and reeled in
 TWIST_GAIN = 0.2  # share of a position difference that becomes velocity, for beliefs without twist
 
 
@@ -61,8 +58,7 @@ class Observer:
     """Estimates offsets and the unknown load, and says where the platform is.
 
     Attributes:
-        offset: Of the lengths: sent minus modelled [m], shape (n,).
-        slack: What lengths differ by so suddenly that it is no offset [m], shape (n,).
+        lengths: What those sent differ by from modelled ones.
         load: Centre of mass and acceleration that the model does not know.
         gate: Distance of lengths sent to believed ones beyond which cables are slack [m].
         rebased: How often a belief that disagreed was taken over, since the reset.
@@ -70,9 +66,8 @@ class Observer:
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
         self._robot, self._settings, ratios = robot, settings, Scales(robot).ratios
-        self._tolerance, self._offset_max = LENGTH_TOLERANCE.of(ratios), OFFSET_MAX.of(ratios)
-        self._slack_excess, self.gate = SLACK_EXCESS.of(ratios), BELIEF_GATE.of(ratios)
-        self._offset_share = settings.period / OFFSET_TIME.of(ratios)
+        self._tolerance, self.gate = LENGTH_TOLERANCE.of(ratios), BELIEF_GATE.of(ratios)
+        self.lengths = LengthOffsets(robot.n, period=settings.period, ratios=ratios)
         self.load = UnknownLoad(
             robot, period=settings.period, center_of_mass=settings.center_of_mass,
             disturbance_time=settings.disturbance_time,
@@ -80,20 +75,9 @@ class Observer:
 
     def reset(self) -> None:
         """Forget everything."""
-        self.offset, self.slack = np.zeros((2, self._robot.n))
+        self.lengths.reset()
         self.rebased = 0
-        self._most = np.full(self._robot.n, self._offset_max)
         self.forget()
-
-    @property
-    def surplus(self) -> Array:
-        """Lengths sent beyond modelled ones [m], shape (n,): offset and slack."""
-        return np.asarray(self.offset + self.slack)
-
-    @property
-    def kept(self) -> Array:
-        """Offset within its bounds [m], shape (n,)."""
-        return np.asarray(np.clip(self.offset, -self._most, self._most))
 
     def forget(self) -> None:
         """Drop the prediction, and what was learned of the load, which may be wrong."""
@@ -128,7 +112,7 @@ class Observer:
             return _nowhere(position, rotation, geometry)
         allowed = self.gate if within is None else within
         missing = length - geometry.length  # of the believed pose, before offsets
-        distance = float(np.abs(missing - self.kept).max())
+        distance = float(np.abs(missing - self.lengths.kept).max())
         if stuck and distance > allowed:
             self._rebase(missing)
             distance = 0.0
@@ -136,11 +120,11 @@ class Observer:
         if distance > allowed:
             return PlanStart(position=position, rotation=rotation, twist=twist, geometry=geometry,
                          distance=distance)  # fmt: skip
-        self._learn_lengths(missing)
-        if not self.slack.any():
+        self.lengths.learn(missing)
+        if not self.lengths.slack.any():
             self._learn(belief, twist, geometry, rotation)
         position, rotation, geometry = self._onto(
-            length - self.surplus, position, rotation, geometry
+            length - self.lengths.surplus, position, rotation, geometry
         )
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)
@@ -151,8 +135,7 @@ class Observer:
 
     def _rebase(self, missing: Array) -> None:
         """Take what lengths differ by as offset, whatever it is."""
-        self.offset, self.slack = missing, np.zeros(self._robot.n)
-        self._most = np.maximum(self._most, np.abs(missing))
+        self.lengths.rebase(missing)
         self.forget()
         self.rebased += 1
 
@@ -191,20 +174,6 @@ class Observer:
             if not _sound(geometry):
                 break
         return position, rotation, geometry
-
-    def _learn_lengths(self, missing: Array) -> None:
-        """Take a share of what the lengths differ by as offset, and what is far off as slack.
-
-        A slack cable is longer than its chord, and says nothing about where the platform is. Were
-        that an offset, it would be sent for ever, and the cable would stay slack.
-        """
-        share = self._offset_share
-        self._most = self._most + share * (self._offset_max - self._most)
-        error = missing - self.offset
-        near = np.clip(error, -self._slack_excess, self._slack_excess)
-        self.slack = (1.0 - share) * (error - near)
-        self.offset = self.offset + share * near
-        self.offset = self.offset + share * (self.kept - self.offset)
 
     def _twist(self, belief: Belief) -> Array:
         """Return the believed twist; without one, the prediction corrected by the pose."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from baselines.mpc import model
-from baselines.mpc.observer import OFFSET_TIME, PlanStart
+from baselines.mpc.length_offsets import OFFSET_TIME
+from baselines.mpc.observer import PlanStart
 from baselines.mpc.plan import Plan
 from baselines.mpc.quadratic_program import NO_LIMIT, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
-from baselines.mpc.unknown_load import UnknownLoad
 from baselines.mpc.winch_reference import WinchRange
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
@@ -45,6 +46,23 @@ class PlanTarget:
     rotation: Array | None
     tension: Array
     calm: bool = False
+
+
+class Load(Protocol):
+    """What is known of the load.
+
+    Attributes:
+        robot: With its centre of mass.
+        acceleration: As the disturbance of `baselines.mpc.model`, shape (6,).
+    """
+
+    @property
+    def robot(self) -> Robot:
+        """Return the robot."""
+
+    @property
+    def acceleration(self) -> Array:
+        """Return the acceleration."""
 
 
 class Planner:
@@ -98,7 +116,7 @@ class Planner:
         self._habit = np.zeros(self._robot.n)
 
     def improve(
-        self, start: PlanStart, target: PlanTarget, *, time: float, load: UnknownLoad,
+        self, start: PlanStart, target: PlanTarget, *, time: float, load: Load,
         acceleration: WinchRange, offset: Array,
     ) -> tuple[Plan, float] | None:  # fmt: skip
         """Make a plan from where the platform is.
@@ -127,6 +145,33 @@ class Planner:
             self._habit = self._habit + self._habit_share * (now - self._habit)
         return plan, slack
 
+    def refine(
+        self, start: PlanStart, target: PlanTarget, *, time: float, load: Load, offset: Array,
+        guess: Plan | None, habit: Array, iterations: int,
+    ) -> Plan | None:  # fmt: skip
+        """Make a plan from a guess, whatever the winches did before; nothing is learned from it.
+
+        Args:
+            start: Pose and twist now.
+            target: At the times of `grid` from now.
+            time: Now [s].
+            load: What is known of the load.
+            offset: What lengths sent exceed straight ones by [m], shape (n,).
+            guess: Another plan; None: begin with rest.
+            habit: What tensions differ by from those of rest in the long run [N], shape (n,).
+            iterations: Quadratic programs.
+        """
+        self.plan, self._habit = guess, habit
+        plan = self._guess(start, target, time)
+        free = np.full(self._robot.n, np.inf)
+        for _ in range(iterations):
+            self._linearise(plan, start, load)
+            corrected = self._correct(plan, target, WinchRange(low=-free, high=free), offset)
+            if corrected is None:
+                return None
+            plan = corrected[0]
+        return plan
+
     def _guess(self, start: PlanStart, target: PlanTarget, time: float) -> Plan:
         """Return the last plan, shifted to now, with the first state replaced."""
         when = time + self.grid
@@ -147,7 +192,7 @@ class Planner:
         state[0, 6:] = start.twist
         return Plan(time=when, state=state, tension=tension, rotation=rotation)
 
-    def _linearise(self, plan: Plan, start: PlanStart, load: UnknownLoad) -> None:
+    def _linearise(self, plan: Plan, start: PlanStart, load: Load) -> None:
         """Evaluate the stage function along the plan."""
         stage, geometry = self.stage, start.geometry
         stage.state[:] = plan.state[:-1]

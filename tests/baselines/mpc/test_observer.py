@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
 from baselines.mpc.geometry import geometry_at
-from baselines.mpc.observer import OFFSET_MAX, SLACK_EXCESS, Observer
+from baselines.mpc.length_offsets import OFFSET_MAX, SLACK_EXCESS
+from baselines.mpc.observer import Observer
 from baselines.mpc.unknown_load import PlannedMotion
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Belief
@@ -51,7 +52,7 @@ def observed(robot, extra, steps):
 def test_an_offset_of_millimetres_is_learned_whole(robot):
     bias = np.array([5e-3, -4e-3, 3e-3, -6e-3])
     observer, start = observed(robot, bias, 500)
-    assert observer.offset == pytest.approx(bias, abs=1e-5)
+    assert observer.lengths.offset == pytest.approx(bias, abs=1e-5)
     assert start.position == pytest.approx(robot.home_position, abs=1e-5)
 
 
@@ -64,7 +65,7 @@ def test_a_slack_cable_is_no_offset_and_is_reeled_in(robot):
     surplus = np.array([0.18, 0.0, 0.0, 0.0])
     for _ in range(200):
         start = observer.start(belief, taut + surplus, np.zeros(robot.n))
-        surplus = observer.surplus  # what is sent is longer than the chord by it
+        surplus = observer.lengths.surplus  # what is sent is longer than the chord by it
     assert surplus[0] < OFFSET_MAX
     assert surplus[1:] == pytest.approx(np.zeros(3), abs=1e-9)
     assert np.linalg.norm(start.position - robot.home_position) < SLACK_EXCESS
@@ -97,7 +98,7 @@ def test_the_plan_starts_at_exactly_the_lengths_and_rates_that_were_sent(robot, 
     length = length + size * np.array([1.0, -1.0, 0.8, -0.7])
     rate = np.array([0.5, -0.2, 0.1, 0.3])
     start = observer.start(belief, length, rate)
-    assert start.geometry.length == pytest.approx(length - observer.surplus, abs=2e-6)
+    assert start.geometry.length == pytest.approx(length - observer.lengths.surplus, abs=2e-6)
     there = geometry_at(robot, start.position, start.rotation)
     assert there.jacobian @ start.twist == pytest.approx(rate, abs=1e-9)
 
