@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
@@ -20,11 +19,11 @@ from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
 from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
+from learned.reference_rows import ReferenceRows
 from learned.settings_data import environment_settings
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
 POLICY_SUFFIX = ".onnx"
-ROW_TOLERANCE = 1e-9  # [rows] that are none
 BOX_EXCESS_MAX = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FIELDS = (
@@ -88,10 +87,10 @@ class PolicyController:
         self.period = settings.period if period is None else period
         lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
         target = lag if period is None else 1.0
-        self._target = _LookaheadRows.of([target])
-        self._preview = _LookaheadRows.of([1.0 + k for k in self._environment.preview])
+        self._target = ReferenceRows.of([target])
+        self._preview = ReferenceRows.of([1.0 + k for k in self._environment.preview])
         lead = lead_of(robot, self._environment) if self._in_motion else 0.0
-        self._aim = _LookaheadRows.of([target + lead / self.period])
+        self._aim = ReferenceRows.of([target + lead / self.period])
         rows = [x.last_row for x in (self._target, self._preview, self._aim)]
         self._last_row = max(rows)
         self._fallback = ShapedFallback(robot, self.period)
@@ -215,49 +214,6 @@ class PolicyController:
         for name, mine, theirs in pairs:
             if mine != theirs:
                 raise InvalidField(f"policy.{name}", f"{theirs} numbers", f"{mine} numbers")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _LookaheadRows:
-    """Times ahead of now, in rows of a reference.
-
-    Attributes:
-        row: The row before each, K of them; a slice, which takes no copy, where they are in turn.
-        next_row: The row after each.
-        share: Of the way to the next row, shape (K, 1).
-        last_row: The last one that is looked at.
-        between: Whether any lies between rows.
-    """
-
-    row: NDArray[np.intp] | slice
-    next_row: NDArray[np.intp] | slice
-    share: Array
-    last_row: int
-    between: bool
-
-    @classmethod
-    def of(cls, ahead: Sequence[float]) -> _LookaheadRows:
-        """Split times in periods into rows and shares."""
-        row = np.floor(np.array(ahead) + ROW_TOLERANCE).astype(np.intp)
-        share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
-        return cls(
-            row=_in_turn(row), next_row=_in_turn(row + 1), share=share,
-            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROW_TOLERANCE).any()),
-        )  # fmt: skip
-
-    def rows(self, values: Array, size: int) -> Array:
-        """Interpolate values of B or one for all, (1 or B, N, 3), at these times: (B, K, 3)."""
-        rows: Array = values[:, self.row]
-        if self.between:
-            rows = (1.0 - self.share) * rows + self.share * values[:, self.next_row]
-        return rows if len(rows) == size else np.broadcast_to(rows, (size, *rows.shape[1:]))
-
-
-def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return consecutive rows as a slice, and others as they are."""
-    if len(rows) == 0:
-        return slice(0)
-    return slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def check_robot(robot: Robot, policy: Policy) -> None:

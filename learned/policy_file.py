@@ -124,7 +124,7 @@ class Policy:
             raise InvalidField("path", f"the folder {path}", allowed)
         if not Path(path).is_file():
             raise MissingFile(path)
-        session = _session(path)
+        session = open_network(path, POLICY_FILE_NAME)
         try:
             sides = {
                 "observation": {one.name: one.shape for one in session.get_inputs()},
@@ -207,7 +207,7 @@ def write_policy(
     """
     if activation not in ACTIVATION_NAMES:
         raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATION_NAMES)}")
-    model = _model(_checked(layers), activation)
+    model = network_model(checked_layers(layers), activation)
     if description.probe is None:
         settings = environment_settings(description.settings)
         description = replace(description, probe=make_probe(description.robot, settings))
@@ -215,7 +215,7 @@ def write_policy(
         temporary.write_bytes(_with_metadata(model, description))
 
 
-def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def checked_layers(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Return layers as float32; name the first that does not fit."""
     if not layers:
         raise InvalidField("layers", "none", "at least one layer")
@@ -235,7 +235,7 @@ def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float
     return checked
 
 
-def _model(layers: Layers, activation: str) -> ModelProto:
+def network_model(layers: Layers, activation: str) -> ModelProto:
     """Build the graph of a perceptron: observation (batch, in) to action (batch, out)."""
     require("writing a policy", "onnx")
     from onnx import TensorProto, helper, numpy_helper
@@ -262,15 +262,28 @@ def _model(layers: Layers, activation: str) -> ModelProto:
 
 def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
     """Check a model and add its description; equal policies give equal bytes."""
+    record = {f.name: getattr(description, f.name) for f in fields(PolicyDescription)}
+    return described_network(model, POLICY_SCHEMA, record | {"robot": record_of(description.robot)})
+
+
+def record_of(robot: Robot) -> dict[str, Any]:
+    """Return a robot as JSON holds it; see `robot_of`."""
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in asdict(robot).items()
+    }
+
+
+def described_network(model: ModelProto, schema: str, record: Mapping[str, Any]) -> bytes:
+    """Check a model and add metadata; equal networks give equal bytes.
+
+    Raises:
+        InvalidField: A network that could not be read again.
+    """
     from onnx import checker, helper
 
-    record = {f.name: getattr(description, f.name) for f in fields(PolicyDescription)}
-    record["robot"] = {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in asdict(description.robot).items()
-    }
     texts = {METADATA_PREFIX + name: json.dumps(value) for name, value in record.items()}
-    helper.set_model_props(model, {METADATA_PREFIX + "schema": POLICY_SCHEMA} | texts)
+    helper.set_model_props(model, {METADATA_PREFIX + "schema": schema} | texts)
     checker.check_model(model, full_check=True)
     data = bytes(model.SerializeToString(deterministic=True))
     try:
@@ -289,8 +302,17 @@ def _onnx_failures() -> tuple[type[Exception], ...]:
     return tuple(getattr(failures, name) for name in names)
 
 
-def _session(path: str | Path) -> Any:
-    """Open a file in onnxruntime, on one core; it runs parts of a network as it loads it."""
+def open_network(path: str | Path, name: str) -> Any:
+    """Open a file in onnxruntime, on one core; it runs parts of a network as it loads it.
+
+    Args:
+        path: Of the file.
+        name: What it should be, in words.
+
+    Raises:
+        InvalidField: It is none, or no network of `learned.policy_network`.
+        MissingExtra: onnxruntime is not installed.
+    """
     require("a policy", "onnxruntime")
     import onnxruntime
 
@@ -304,12 +326,12 @@ def _session(path: str | Path) -> Any:
     try:
         check_network(data)
     except OtherNetwork as error:
-        allowed = f"{POLICY_FILE_NAME}; this is no ONNX file, or of another network: {error}"
+        allowed = f"{name}; this is no ONNX file, or of another network: {error}"
         raise InvalidField("path", path, allowed) from error
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except failures as error:
-        raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
+        raise InvalidField("path", path, f"{name}; this is no ONNX file") from error
 
 
 def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
@@ -327,10 +349,10 @@ def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescrip
         record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except (ValueError, RecursionError) as error:
         raise InvalidField("path", f"{path} with damaged metadata", POLICY_FILE_NAME) from error
-    return PolicyDescription(**record | {"robot": _robot(path, record["robot"])})
+    return PolicyDescription(**record | {"robot": robot_of(path, record["robot"])})
 
 
-def _robot(path: str | Path, record: Any) -> Robot:
+def robot_of(path: str | Path, record: Any) -> Robot:
     """Read the robot of a policy; optional fields that came to `Robot` later may be missing."""
     needed = {f.name for f in fields(Robot) if f.default is f.default_factory is MISSING}
     known = {f.name for f in fields(Robot)}
