@@ -25,8 +25,9 @@ from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-# The same forward of many recordings, whose last differences are central. All forces and masses by
-# one factor give the same motion: derivatives wrong by half a percent seem to tell it that well.
+# The same forward of many recordings, where only factors have central ones in the end. All forces
+# and masses by one factor give the same motion: derivatives wrong by half a percent seem to tell it
+# that well.
 FORWARD_STEP_OF_MANY = 0.0005
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
@@ -377,46 +378,45 @@ class Fitter:
         coarse: bool,
         refined: int = 1,
     ) -> list[Array]:
-        """Return differences of errors over their width, central for many recordings if not coarse.
+        """Return differences of errors over their width.
 
         Args:
             at: All coordinates.
             searched: By which of them.
             time_step: At most [s].
-            coarse: True for forward differences.
+            coarse: True for forward differences alone; others of many recordings are central by
+                factors.
             refined: Steps that each of these is divided into.
 
         Returns:
             Of each run, shape (K, 6, p).
         """
         varied = [own[searched[own]] for own in self._own]
-        central = self._many and not coarse
-        step = FORWARD_STEP_OF_MANY if self._many and coarse else FINITE_DIFFERENCE_STEP
-        more = at + step * np.eye(len(at))
-        less = np.maximum(at - step * np.eye(len(at)), self._lower)
-        width = np.diag(more) - (np.diag(less) if central else at)
-        errors, good = self._simulated(
-            [
-                np.vstack([less[rows] if central and len(rows) else at[None], more[rows]])
-                for rows in varied
-            ],
-            time_step,
-            refined=refined,
-        )
+        central = np.zeros(len(at), dtype=np.bool_)
+        if self._many and not coarse:
+            central[: self._count] = self._unknowns.factor > 0.0
+        step = np.where(self._many & ~central, FORWARD_STEP_OF_MANY, FINITE_DIFFERENCE_STEP)
+        more, less = at + np.diag(step), at - np.diag(step)
+        points = [
+            np.vstack([at[None], more[rows], less[rows[central[rows]]]]) for rows in varied
+        ]  # factors have no bounds
+        errors, good = self._simulated(points, time_step, refined=refined)
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
+            both = central[rows]
             if not sound.all():
-                row = int(np.argmin(sound)) + len(rows) - len(sound)
-                stands = row == -1 and not (central and len(rows))  # the first is the robot itself
-                beside = "" if stands else f" with another {self._names[rows[row]]}"
+                rows = np.concatenate([[-1], rows, rows[both]])
+                row = int(rows[np.argmin(sound)])
+                beside = "" if row < 0 else f" with another {self._names[row]}"
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
+            after, width = each[1 : len(rows) + 1], step[rows]
+            before = np.repeat(each[:1], len(rows), axis=0)
+            before[both] = each[len(rows) + 1 :]
+            width = np.where(both, 2.0 * width, width)
             jacobian = np.zeros((*each.shape[1:], len(own)))
-            jacobians.append(jacobian)
-            if not len(rows):
-                continue
-            before, after = each[: -len(rows)], each[-len(rows) :]
-            slopes = (after - before) / width[rows, None, None]
+            slopes = (after - before) / width[:, None, None]
             jacobian[:, :, searched[own]] = np.moveaxis(slopes, 0, 2)
+            jacobians.append(jacobian)
         return jacobians
 
     def _normal(
