@@ -77,13 +77,13 @@ class WinchReference:
         speed = keep * robot.speed_max
         # Lead to the limits smoothly: what jerk takes to end an acceleration is kept free.
         room = 0.5 * self._acceleration * np.abs(self._acceleration) / self._jerk_max
-        low_speed = np.clip((-speed - self._speed - np.minimum(room, 0.0)) / h, low, high)
-        high_speed = np.clip((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
+        low_speed = _within((-speed - self._speed - np.minimum(room, 0.0)) / h, low, high)
+        high_speed = _within((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
         ahead = self._sent + h * self._speed
         low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
         return WinchRange(
-            low=np.clip(robot.length_min + 0.0, low_length, high_length),
-            high=np.clip(robot.length_max + 0.0, low_length, high_length),
+            low=_within(robot.length_min, low_length, high_length),
+            high=_within(robot.length_max, low_length, high_length),
         )
 
     def acceleration_range(self) -> WinchRange:
@@ -105,7 +105,7 @@ class WinchReference:
         h = self._period
         wanted = length + self._lead * rate
         allowed = self.command_range()
-        command = np.clip(wanted, allowed.low, allowed.high)
+        command = _within(wanted, allowed.low, allowed.high)
         cut = np.abs(command - wanted) > 1e-9
         self.held = bool(cut.any())
         if self.held:
@@ -129,3 +129,8 @@ class WinchReference:
         """Return the command without acceleration, and its change per acceleration."""
         h, lead = self._period, self._lead
         return self.length + (h + lead) * self.rate, 0.5 * h * h + h * lead
+
+
+def _within(values: Array, low: Array, high: Array) -> Array:
+    """Return values within bounds, as `numpy.clip`, which takes its time with small arrays."""
+    return np.asarray(np.minimum(np.maximum(values, low), high))
