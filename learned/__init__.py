@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from learned.approximate_mpc.controller import ApproximateMpc, ApproximateMpcSettings
+    from learned.approximate_mpc.training import DistillationSettings, distill
     from learned.environment import CableEnvironment, EnvironmentSettings, StepResult
     from learned.evaluation import evaluate, evaluate_inverse_kinematics
     from learned.exploration_settings import ExplorationSettings
@@ -28,8 +30,11 @@ __carosac__ = True  # marks this package as ours: the name is not unique
 
 __all__ = [
     "REWARD_TERMS",
+    "ApproximateMpc",
+    "ApproximateMpcSettings",
     "CableEnvironment",
     "CableGymEnvironment",
+    "DistillationSettings",
     "EnvironmentSettings",
     "ExplorationSettings",
     "MovingSettings",
@@ -50,6 +55,7 @@ __all__ = [
     "TrainingRun",
     "TrainingStudy",
     "Transition",
+    "distill",
     "evaluate",
     "evaluate_inverse_kinematics",
     "find_preset",
@@ -59,6 +65,9 @@ __all__ = [
 ]
 
 _MODULES = {
+    "ApproximateMpc": "approximate_mpc.controller",
+    "ApproximateMpcSettings": "approximate_mpc.controller",
+    "DistillationSettings": "approximate_mpc.training",
     "CableEnvironment": "environment",
     "CableGymEnvironment": "gym_environment",
     "EnvironmentSettings": "environment",
@@ -82,6 +91,7 @@ _MODULES = {
     "TrainingRun": "training_study",
     "TrainingStudy": "training_study",
     "Transition": "transition",
+    "distill": "approximate_mpc.training",
     "evaluate": "evaluation",
     "evaluate_inverse_kinematics": "evaluation",
     "find_preset": "presets",

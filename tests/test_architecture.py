@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "carosac_toolkit": set(),
     "baselines": {"carosac_toolkit"},
     "sim_warp": {"carosac_toolkit"},
-    "learned": {"carosac_toolkit", "sim_warp"},
+    "learned": {"carosac_toolkit", "sim_warp", "baselines"},
     "calibration": {"carosac_toolkit", "sim_warp", "baselines"},
 }
 # The core's subpackages from the bottom to the top. Each imports only from lines before its own;

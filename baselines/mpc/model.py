@@ -42,9 +42,8 @@ def parameter_names(n: int) -> dict[str, int]:
 
 
 def parameters(
-    robot: Robot, *, rotation: Array, length: Array, exits: Array, disturbance: Array,
-    center: Array | None = None,
-) -> Array:  # fmt: skip
+    robot: Robot, *, rotation: Array, length: Array, exits: Array, disturbance: Array
+) -> Array:
     """Return the robot as the parameter vector of the model.
 
     Args:
@@ -53,33 +52,32 @@ def parameters(
         length: Length of each cable, for its weight [m], shape (n,).
         exits: Where the free part of each cable begins in W [m], shape (n, 3).
         disturbance: Acceleration that is added [m/s^2, rad/s^2], in W, shape (6,).
-        center: Centre of mass of the platform in P [m], shape (3,); None: as in the robot file.
 
     Returns:
         Parameter vector, blocks as `parameter_names` says, matrices column by column.
     """
-    own = robot.center_of_mass if center is None else center
-    body = moving_body(robot, length, own)
+    body = moving_body(robot, length)
     blocks = (
         body.mass, body.center_of_mass, body.inertia, np.linalg.inv(body.inertia),
-        robot.weight, own, robot.drag, robot.angular_drag, rotation.T,
+        robot.weight, robot.center_of_mass, robot.drag, robot.angular_drag, rotation.T,
         disturbance, exits, robot.anchor_points, 0.5 * robot.weight_per_length,
     )  # fmt: skip
     return np.concatenate([np.ravel(block) for block in blocks])
 
 
-def moving_body(robot: Robot, length: Array, center: Array | None = None) -> RigidBody:
-    """Combine the platform with a third of each cable (n,) [m] at its anchor point.
+def moving_body(robot: Robot, length: Array) -> RigidBody:
+    """Combine the platform with a third of each cable (n,) [m] at its anchor point."""
+    platform = RigidBody(robot.mass, robot.center_of_mass, robot.inertia)
+    return combine_bodies([platform, *riding_bodies(robot, length)])
 
-    Its own centre of mass is that of the robot file, or another one in P [m], shape (3,).
-    """
-    own = robot.center_of_mass if center is None else center
+
+def riding_bodies(robot: Robot, length: Array) -> list[RigidBody]:
+    """Return a third of each cable (n,) [m] as a point at its anchor point."""
     riding = robot.linear_density * length / 3.0
-    points = [
+    return [
         RigidBody(float(m), b, np.zeros((3, 3)))
         for m, b in zip(riding, robot.anchor_points, strict=True)
     ]
-    return combine_bodies([RigidBody(robot.mass, own, robot.inertia), *points])
 
 
 def rotation_of(s: Array) -> Array:

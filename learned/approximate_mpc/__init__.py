@@ -1,0 +1,1 @@
+"""MPC as a network that has learned from it."""

@@ -1,0 +1,378 @@
+"""The controller `approximate_mpc`: a network tells what MPC would plan next.
+
+All that a plan is made from, and what follows from its first tensions, is as in `baselines.mpc`:
+the lengths that were sent say where the cables end, offsets and an unknown acceleration are learned
+beside, the tensions are put into the same equations of motion, and the winches are led by their
+lag. Only the quadratic program is missing; a network that has seen many of them says which tensions
+it would find, and which sag and stretch belong to these.
+
+References:
+    Hertneck, Köhler, Trimpe, Allgöwer, Learning an approximate model predictive controller with
+    guarantees, *IEEE Control Systems Letters* 2, 2018.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from baselines.mpc import model
+from baselines.mpc.excess_filter import ExcessFilter
+from baselines.mpc.geometry import Geometry, excess_under, geometry_at
+from baselines.mpc.length_offsets import OFFSET_TIME, LengthOffsets
+from baselines.mpc.observer import BELIEF_GATE
+from baselines.mpc.plan_times import settings_for
+from baselines.mpc.planner import PlanTarget
+from baselines.mpc.settings import MpcSettings
+from baselines.mpc.soft_start import SoftStart
+from baselines.mpc.target_reader import CHASE_DISTANCE_MAX
+from baselines.mpc.unknown_load import CENTER_STEP_MIN, DISTURBANCE_MAX, UNTOLD_TIME_RATIO
+from baselines.mpc.winch_reference import WinchReference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.extras import require
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
+from learned.approximate_mpc.motion import FastMotion
+from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers
+from learned.approximate_mpc.plan_network import PlanNetwork, bundled_network, find_network
+from learned.policy_controller import BOX_EXCESS_MAX
+from learned.reference_rows import ReferenceRows
+from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
+
+APART = "lengths apart from the belief"
+CABLES_MAX = 5  # more leave no sway, and hold the attitude, which is no input
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApproximateMpcSettings:
+    """Settings of `ApproximateMpc`.
+
+    Attributes:
+        policy: Name of a bundled network, or path of a file that ``carosac distill`` wrote; None
+            takes the bundled one of the robot.
+    """
+
+    policy: str | None = None
+
+
+class PlanFollower:
+    """MPC without its planner: what a plan is made from, and what follows from its tensions.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead the reference must reach [s].
+    """
+
+    def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        """Prepare for a robot of three to five cables.
+
+        Raises:
+            InvalidField: It has more or less.
+        """
+        require("approximate model predictive control", "casadi")
+        if not 3 <= robot.n <= CABLES_MAX:
+            allowed = f"3 to {CABLES_MAX}, which let the platform sway"
+            raise InvalidField("robot", f"{robot.n} cables", f"{allowed}: use mpc")
+        self.settings, _ = settings_for(robot, settings)
+        scales = Scales(robot)
+        self.robot, self.ratios = robot, scales.ratios
+        self.period = self.settings.period
+        stages = self.settings.stages
+        rest = (self.settings.lookahead - self.period) / (stages - 1)
+        durations = [self.period, *[rest] * (stages - 1)]
+        self.grid = np.concatenate([[0.0], np.cumsum(durations)])
+        self._rows = ReferenceRows.of(self.grid / self.period)
+        self.horizon = self.period * float(self._rows.last_row)
+        self._motion = FastMotion(robot.n)
+        self._offsets = LengthOffsets(robot.n, period=self.period, ratios=self.ratios)
+        self._excess = ExcessFilter(robot, self.period)
+        jerk_max = self.settings.jerk_max or scales.jerk(self.period)
+        self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
+        self._soft_start = SoftStart(self.grid, self.ratios)
+        self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
+        gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
+        unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
+        self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * unit
+        self._center_step = CENTER_STEP_MIN.of(self.ratios)
+        self._gate = BELIEF_GATE.of(self.ratios)
+        self._chase = CHASE_DISTANCE_MAX.of(self.ratios)
+        sizes = model.parameter_names(robot.n)
+        edges = dict(zip(sizes, np.cumsum([0, *sizes.values()]), strict=False))
+        self._blocks = {name: slice(edge, edge + sizes[name]) for name, edge in edges.items()}
+        self._predicted: Array | None = None
+        self._acceleration: Array = np.zeros(6)
+        self._state: Array = np.zeros(model.STATE_SIZE)
+        self._middle = 0.5 * (robot.workspace_max + robot.workspace_min)
+        self._reach = (0.5 + 0.5 * BOX_EXCESS_MAX) * (robot.workspace_max - robot.workspace_min)
+        self._turns = bool((robot.pulley_radius > 0.0).any())
+
+    def reset(self, belief: Belief) -> None:
+        """Start at rest where the belief says.
+
+        Raises:
+            InvalidField: A batch of several robots.
+        """
+        if len(belief.position) != 1:
+            raise InvalidField("belief", f"{len(belief.position)} robots", "one")
+        position, rotation = belief.position[0], belief.rotation[0]
+        self._geometry = geometry_at(self.robot, position, rotation)
+        rest = statics.inverse_kinematics(self.robot, position[None])
+        pull = rest.tension[0] if belief.tension is None else belief.tension[0]
+        self._excess.reset(excess_under(self.robot, position, rotation, pull, self._geometry))
+        self._offsets.reset()
+        self._winches.reset(self._geometry.length + self._excess.value)
+        self._soft_start.reset()
+        self._sent = self._winches.length
+        self._usual_tension: Array = rest.tension[0]
+        self._usual_place: Array | None = None
+        self._center = self.robot.center_of_mass
+        self._place(self._geometry)
+        self._forget()
+
+    def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
+        """Return what the next plan depends on, and why there must be none, or nothing."""
+        position, rotation = belief.position[0], belief.rotation[0]
+        twist = np.zeros(6) if belief.twist is None else belief.twist[0]
+        if self._turns:
+            self._place(geometry_at(self.robot, position, rotation))
+        told = belief.center_of_mass
+        if told is not None and np.abs(told[0] - self._center).max() > self._center_step:
+            self._center = told[0]
+            self._load()
+        parameters = self._motion.parameters
+        parameters[self._blocks["rotation"]] = rotation.T.ravel()
+        parameters[self._blocks["disturbance"]] = self._acceleration
+        state = self._state
+        state[:3], state[3:6], state[6:] = position, 0.0, twist
+        predicted = twist if self._predicted is None else self._predicted
+        free, gained = self._motion.look(state, predicted)
+        missing = self._winches.length - self._excess.value - self._wrapped - free
+        distance = float(np.abs(missing - self._offsets.kept).max())
+        target = self._target(reference, position, rotation, float(belief.time[0]))
+        reason = self._reason(distance, target.position[0], position)
+        if not reason:
+            self._offsets.learn(missing)
+            if not self._offsets.slack.any():
+                self._learn(gained, told=told is not None)
+            wanted = self._winches.length - self._excess.value - self._wrapped
+            state[:], rotation = self._motion.onto(
+                state, wanted - self._offsets.surplus, self._winches.rate
+            )
+            parameters[self._blocks["disturbance"]] = self._acceleration
+            position, twist = state[:3].copy(), state[6:].copy()
+        if self._usual_place is None:
+            self._usual_place = target.position[0]
+        inputs = PlanInputs(
+            position=position,
+            rotation=rotation,
+            twist=twist,
+            target=target.position,
+            target_velocity=target.velocity,
+            center=self._center - self.robot.center_of_mass,
+            acceleration=self._acceleration.copy(),
+            usual_tension=self._usual_tension,
+            usual_place=self._usual_place - target.position[0],
+        )
+        return inputs, reason
+
+    def follow(self, inputs: PlanInputs, tension: Array, excess: Array) -> Array:
+        """Return the command (n,) [m] for the first tensions of a plan, and their sag less stretch.
+
+        Args:
+            inputs: As `look` returned them.
+            tension: Along the chords [N], shape (n,).
+            excess: Sag less stretch at the end of the period [m], shape (n,).
+        """
+        tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
+        allowed = self._winches.acceleration_range()
+        after, free, rate, tension = self._motion.advance(
+            self._state, tension, self.period, allowed.low, allowed.high
+        )
+        self._excess.approach(excess)
+        self._predicted = after[6:]
+        share = self.habit_share
+        self._usual_tension = self._usual_tension + share * (tension - self._usual_tension)
+        assert self._usual_place is not None
+        self._usual_place = self._usual_place - share * inputs.usual_place
+        length = free + self._wrapped + self._excess.value + self._offsets.surplus
+        self._sent = self._winches.follow(length, rate)
+        return self._sent
+
+    def idle(self, sent: Array) -> None:
+        """Take note of a command [m] (n,) of someone else."""
+        rate = (sent - self._sent) / self.period
+        self._winches.reset(sent)
+        self._winches.rate = rate
+        self._sent = sent
+        self._forget()
+
+    @property
+    def asked(self) -> Array:
+        """The last command [m], shape (n,)."""
+        return self._sent
+
+    @property
+    def geometry(self) -> Geometry:
+        """Cables where parameters of the model were last brought up to date."""
+        return self._geometry
+
+    @property
+    def surplus(self) -> Array:
+        """What lengths sent exceed straight ones by [m], shape (n,)."""
+        return np.asarray(self._excess.value + self._offsets.surplus)
+
+    def _forget(self) -> None:
+        """Drop the prediction, and what was learned of the load, which may be wrong."""
+        self._predicted = None
+        self._acceleration = np.zeros(6)
+
+    def _place(self, geometry: Geometry) -> None:
+        """Bring the parameters of the model up to date."""
+        self._geometry = geometry
+        self._wrapped = geometry.length - geometry.free
+        self._motion.parameters[:] = model.parameters(
+            self.robot, rotation=np.eye(3), length=geometry.free, exits=geometry.exits,
+            disturbance=np.zeros(6),
+        )  # fmt: skip
+        self._riding = combine_bodies(model.riding_bodies(self.robot, geometry.free))
+        self._load()
+
+    def _load(self) -> None:
+        """Bring the centre of mass in the parameters up to date."""
+        platform = RigidBody(self.robot.mass, self._center, self.robot.inertia)
+        body, blocks = combine_bodies([platform, self._riding]), self._blocks
+        parameters = self._motion.parameters
+        parameters[blocks["center"]] = body.center_of_mass
+        parameters[blocks["inertia"]] = body.inertia.ravel()
+        parameters[blocks["inverse_inertia"]] = np.linalg.inv(body.inertia).ravel()
+        parameters[blocks["hang"]] = self._center
+
+    def _target(
+        self, reference: Reference, position: Array, rotation: Array, now: float
+    ) -> PlanTarget:
+        """Return the reference at the times of a plan, led on from where the platform started."""
+        places = self._rows.rows(reference.position, 1)[0]
+        speeds = self._rows.rows(reference.velocity, 1)[0]
+        target = PlanTarget(
+            position=places, velocity=speeds, rotation=None, tension=self._usual_tension
+        )
+        return self._soft_start.faded(target, position, rotation, time=now)
+
+    def _reason(self, distance: float, target: Array, position: Array) -> str:
+        """Return why nothing must be planned from here, or nothing."""
+        if not distance <= self._gate:
+            return APART
+        if not (np.abs(target - self._middle) <= self._reach).all():
+            return OUTSIDE
+        away = position - target
+        return "" if away @ away <= self._chase**2 else FAR
+
+    def _learn(self, gained: Array, *, told: bool) -> None:
+        """Take in what the twist gained beyond its prediction, in the free ways (6,)."""
+        duration = self.settings.disturbance_time * (1.0 if told else UNTOLD_TIME_RATIO)
+        most = self._acceleration_max
+        found = self._acceleration + gained / duration
+        self._acceleration = np.minimum(np.maximum(found, -most), most)
+
+
+class ApproximateMpc:
+    """What `Mpc` would do, as a network has learned it.
+
+    Outside the box, far from the reference, or where the belief and the lengths sent do not agree,
+    input shaping commands, and `fallbacks` counts it.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead the reference must reach [s].
+    """
+
+    Settings: ClassVar = ApproximateMpcSettings
+
+    def __init__(self, robot: Robot, network: PlanNetwork) -> None:
+        """Make sure that the network was trained for this robot.
+
+        Raises:
+            InvalidField: It was trained for another one; names what differs.
+        """
+        network.check(robot)
+        self._network = network
+        self._follower = PlanFollower(robot, network.settings)
+        self._numbers = PlanNumbers(robot)
+        self.period = self._follower.period
+        self._fallback = ShapedFallback(robot, self.period)
+        self.horizon = max(self._follower.horizon, self._fallback.horizon)
+        self._ready = False
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: ApproximateMpcSettings | None = None, *, seed: int = 0
+    ) -> Self:
+        """Load the network; it draws no random numbers, so `seed` has no effect.
+
+        Raises:
+            InvalidField: There is no network for this robot, or it was trained for another one.
+        """
+        chosen = settings or ApproximateMpcSettings()
+        name = bundled_network(robot) if chosen.policy is None else chosen.policy
+        return cls(robot, PlanNetwork.load(find_network(name)))
+
+    @staticmethod
+    def check_settings(settings: ApproximateMpcSettings) -> None:
+        """Refuse a network that is not there, or is none, before a study begins."""
+        if settings.policy is not None:
+            PlanNetwork.load(find_network(settings.policy))
+
+    @staticmethod
+    def check_robot(robot: Robot) -> None:
+        """Refuse a robot for which none is bundled; studies ask before they choose it.
+
+        Raises:
+            InvalidField: There is none, or it was trained for another robot of this name.
+        """
+        PlanNetwork.load(find_network(bundled_network(robot))).check(robot)
+
+    def reset(self, belief: Belief) -> None:
+        """Start at rest where the belief says.
+
+        Raises:
+            InvalidField: A batch of several robots.
+        """
+        self._follower.reset(belief)
+        self._fallback.reset(self._follower.asked[None])
+        self._ready = True
+
+    @property
+    def fallbacks(self) -> Mapping[str, int]:
+        """Commands of input shaping since the last reset, by reason."""
+        return dict(self._fallback.counts)
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Return the lengths for the next period.
+
+        Raises:
+            InvalidField: A batch, no reset before, or a reference that ends before the horizon.
+        """
+        if not self._ready:
+            raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
+        rows = round(self.horizon / self.period) + 1
+        if reference.time.shape[1] < rows:
+            allowed = f"at least {rows}, those of the horizon of {self.horizon:g} s"
+            raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
+        inputs, reason = self._follower.look(belief, reference)
+        reasons = {0: reason} if reason else {}
+        self._fallback.decide(reasons, belief)
+        idle = bool(reason) or bool(self._fallback.active[0])
+        length = self._follower.asked
+        if not idle:
+            tension, excess = self._network.plan(self._numbers.of(inputs))
+            length = self._follower.follow(inputs, tension, excess)
+        sent = self._fallback.command(length[None], belief, reference, reasons)
+        if idle:
+            self._follower.idle(sent[0])
+        return Command(time=belief.time, unstrained_length=sent)

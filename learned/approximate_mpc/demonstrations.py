@@ -1,0 +1,336 @@
+"""Drives in which MPC says what it would do, whoever commands (DAgger).
+
+References:
+    Ross, Gordon, Bagnell, A reduction of imitation learning and structured prediction to no-regret
+    online learning, *AISTATS*, 2011.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from baselines.mpc.geometry import excess_at, geometry_at
+from baselines.mpc.observer import PlanStart
+from baselines.mpc.plan import Plan, pose_of
+from baselines.mpc.plan_times import settings_for
+from baselines.mpc.planner import Planner, PlanTarget
+from baselines.mpc.settings import MpcSettings
+from baselines.mpc.target_reader import TargetReader
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.scaled import Scaled, resolved
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.settled import settled
+from carosac_toolkit.trajectories import Trajectory
+from learned.approximate_mpc.controller import PlanFollower
+from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers, input_count
+from learned.approximate_mpc.plan_network import PlanNetwork
+
+CALM_TIME = Scaled(2.5, "s")  # of holding still behind a path
+SNAP_SHARE = 0.25  # of the drives, along minimum-snap paths; the others are straight moves
+OUTER_SHARE = 0.6  # of the straight moves, between points near the faces of the box
+OUTER_BOX_SHARE = 0.85  # of the half box, from which on a point is near them
+PATH_TRIES_MAX = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemonstrationSettings:
+    """Drives, and what is asked of MPC in them; numbers with a unit are those of ``carosac``.
+
+    Attributes:
+        condition: From which plants and the wind are drawn.
+        suite: Sensors.
+        estimator: Whose beliefs the controller gets.
+        speed_max: Of the paths, at most [m/s].
+        acceleration_max: The same [m/s^2].
+        every: Answers are kept once in so many commands.
+        nearby: Further questions each time, about states near the one that was met.
+        place_spread: Of these, one sigma per axis [m].
+        turn_spread: The same of rotations [rad].
+        speed_spread: Of velocities [m/s].
+        spin_spread: Of angular velocities [rad/s].
+        push_spread: Of the acceleration that the model does not know [m/s^2].
+        moment_spread: The same of angular ones [rad/s^2].
+    """
+
+    condition: str = "nominal-1"
+    suite: str = "lengths+imu"
+    estimator: str = "dynamic_estimator"
+    speed_max: float = Scaled(2.0, "m/s")
+    acceleration_max: float = Scaled(3.0, "m/s^2")
+    every: int = 3
+    nearby: int = 2
+    place_spread: float = Scaled(0.015, "m")
+    turn_spread: float = 0.015
+    speed_spread: float = Scaled(0.08, "m/s")
+    spin_spread: float = Scaled(0.05, "rad/s")
+    push_spread: float = Scaled(0.1, "m/s^2")
+    moment_spread: float = Scaled(0.1, "rad/s^2")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Demonstrations:
+    """What MPC answered.
+
+    Attributes:
+        numbers: That a network reads, shape (K, m).
+        tension: First tensions of the plan [N], shape (K, n).
+        excess: Sag less stretch that belong to them [m], shape (K, n).
+        error: RMS distance from the reference in the drive [m]; NaN: it was given up.
+    """
+
+    numbers: Array
+    tension: Array
+    excess: Array
+    error: float
+
+    def save(self, path: Path) -> None:
+        """Write a file."""
+        np.savez_compressed(
+            path, numbers=self.numbers.astype(np.float32), tension=self.tension,
+            excess=self.excess, error=self.error,
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: Path) -> Demonstrations:
+        """Read a file that `save` wrote."""
+        with np.load(path) as data:
+            return cls(
+                numbers=data["numbers"], tension=data["tension"], excess=data["excess"],
+                error=float(data["error"]),
+            )  # fmt: skip
+
+
+def demonstrate(
+    robot: Robot,
+    settings: DemonstrationSettings,
+    mpc: MpcSettings,
+    seed: tuple[int, int],
+    network: PlanNetwork | None = None,
+) -> Demonstrations:
+    """Drive a plant along a path, and ask MPC on the way.
+
+    Args:
+        robot: The nominal robot.
+        settings: Settings.
+        mpc: Of the teacher.
+        seed: Of the training and of this drive.
+        network: That drives; None: MPC does.
+    """
+    chosen = resolved(settings, Scales(robot).ratios)
+    rng = np.random.default_rng([*seed, 13])
+    path = draw_path(robot, chosen, rng)
+    condition = find_condition(chosen.condition)
+    controller = _Asking(robot, chosen, mpc, rng, network)
+    kind = plugins.load("drivers", "simulator")
+    driver_settings = replace(
+        kind.Settings(),
+        suite=chosen.suite,
+        period=controller.period,
+        start_position=tuple(float(x) for x in path.sample(np.zeros(1)).position[0]),
+        wind_force=condition.of(robot).wind_force,
+    )
+    driver = kind.build(
+        draw_plant(robot, condition, rng),
+        settled(driver_settings, robot),
+        seed=int(rng.integers(2**31)),
+    )
+    estimator = plugins.load("estimators", chosen.estimator).build(robot)
+    duration = path.duration + CALM_TIME.of(Scales(robot).ratios)
+    error = float("nan")
+    try:
+        log = run(driver, estimator, controller, path, duration=duration)
+    except CarosacError:
+        pass  # it is lost; what was learned on the way there counts
+    else:
+        assert log.position is not None
+        away = np.linalg.norm(log.position - log.reference, axis=2)
+        error = float(np.sqrt((away**2).mean()))
+    return controller.demonstrations(error)
+
+
+def draw_path(
+    robot: Robot, settings: DemonstrationSettings, rng: np.random.Generator
+) -> Trajectory:
+    """Draw a path inside the workspace box."""
+    speed = settings.speed_max * rng.uniform(0.3, 1.0)
+    acceleration = settings.acceleration_max * rng.uniform(0.3, 1.0)
+    if rng.uniform() < SNAP_SHARE:
+        return trajectories.build(
+            "minimum_snap", robot, int(rng.integers(2**31)), speed_max=speed,
+            acceleration_max=acceleration,
+        )  # fmt: skip
+    if rng.uniform() < 0.5:
+        speed, acceleration = settings.speed_max, settings.acceleration_max
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * (robot.workspace_max - robot.workspace_min)
+    outer = rng.uniform() < OUTER_SHARE
+    ends: list[Array] = []
+    for _ in range(PATH_TRIES_MAX):
+        share = rng.uniform(-1.0, 1.0, 3)
+        if not outer or np.abs(share).max() > OUTER_BOX_SHARE:
+            ends.append(middle + half * share)
+        if len(ends) == 2:
+            break
+    return trajectories.line(ends[0], ends[1], speed_max=speed, acceleration_max=acceleration)
+
+
+class Lost(CarosacError):
+    """A drive that a network cannot learn from any more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _KnownLoad:
+    """Load of a plan.
+
+    Attributes:
+        robot: With its centre of mass.
+        acceleration: Beyond the model, shape (6,).
+    """
+
+    robot: Robot
+    acceleration: Array
+
+
+class _Asking:
+    """The controller of a drive."""
+
+    Settings: ClassVar = MpcSettings
+
+    def __init__(
+        self,
+        robot: Robot,
+        settings: DemonstrationSettings,
+        mpc: MpcSettings,
+        rng: np.random.Generator,
+        network: PlanNetwork | None,
+    ) -> None:
+        self._robot, self._settings, self._rng, self._network = robot, settings, rng, network
+        self._follower = PlanFollower(robot, mpc)
+        self._loaded, self._numbers_of = robot, PlanNumbers(robot)
+        chosen, weight_time = settings_for(robot, mpc)
+        self._planner = Planner(robot, chosen, weight_time=weight_time)
+        self._targets = TargetReader(robot, self._planner.grid, chosen.distribution)
+        self.period, self.horizon = self._follower.period, self._follower.horizon
+        self._numbers: list[Array] = []
+        self._tension: list[Array] = []
+        self._excess: list[Array] = []
+        self._count = 0
+
+    def reset(self, belief: Belief) -> None:
+        """Start at rest where the belief says."""
+        self._follower.reset(belief)
+        self._targets.reset()
+        self._usual_rest: Array | None = None
+        self._plan: Plan | None = None
+        self._count = 0
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Return the lengths for the next period, and ask MPC on the way."""
+        inputs, reason = self._follower.look(belief, reference)
+        if reason:
+            raise Lost(reason)
+        rest = self._targets.read(reference).tension
+        if self._usual_rest is None:
+            self._usual_rest = rest[0]
+        habit = inputs.usual_tension - self._usual_rest
+        kept = self._count % self._settings.every == 0
+        numbers, now = self._numbers_of.of(inputs), float(belief.time[0])
+        tension = excess = np.zeros(0)
+        if kept or self._network is None:
+            plan = self._ask(inputs, rest, habit, now)
+            tension, excess = plan.tension[0], self._excess_of(plan)
+        if kept:
+            self._keep(numbers, tension, excess)
+            self._ask_nearby(inputs, rest, habit, now)
+        if self._network is not None:
+            tension, excess = self._network.plan(numbers)
+        share = self._follower.habit_share
+        self._usual_rest = self._usual_rest + share * (rest[0] - self._usual_rest)
+        self._count += 1
+        sent = self._follower.follow(inputs, tension, excess)
+        return Command(time=belief.time, unstrained_length=sent[None])
+
+    def demonstrations(self, error: float) -> Demonstrations:
+        """Return all answers."""
+        size, n = input_count(self._robot, self._follower.settings.stages), self._robot.n
+        return Demonstrations(
+            numbers=np.array(self._numbers).reshape(-1, size),
+            tension=np.array(self._tension).reshape(-1, n),
+            excess=np.array(self._excess).reshape(-1, n),
+            error=error,
+        )
+
+    def _ask(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> Plan:
+        """Return what MPC would do, and keep it as the guess of the next plan."""
+        plan = self._refined(inputs, rest, habit, time, 3 if self._plan is None else 1)
+        if plan is None:
+            raise Lost("no plan")
+        self._plan = plan
+        return plan
+
+    def _ask_nearby(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> None:
+        """Ask about states near the one that was met."""
+        rng, s = self._rng, self._settings
+        for _ in range(s.nearby):
+            turn = Rotation.from_rotvec(s.turn_spread * rng.standard_normal(3)).as_matrix()
+            twist = np.repeat([s.speed_spread, s.spin_spread], 3) * rng.standard_normal(6)
+            push = np.repeat([s.push_spread, s.moment_spread], 3) * rng.standard_normal(6)
+            near = replace(
+                inputs,
+                position=inputs.position + s.place_spread * rng.standard_normal(3),
+                rotation=turn @ inputs.rotation,
+                twist=inputs.twist + twist,
+                acceleration=inputs.acceleration + push,
+            )
+            plan = self._refined(near, rest, habit, time, 1)
+            if plan is not None:
+                excess = self._excess_of(plan)
+                self._keep(self._numbers_of.of(near), plan.tension[0], excess)
+
+    def _refined(
+        self, inputs: PlanInputs, rest: Array, habit: Array, time: float, iterations: int
+    ) -> Plan | None:
+        """Solve for a plan."""
+        start = PlanStart(
+            position=inputs.position,
+            rotation=inputs.rotation,
+            twist=inputs.twist,
+            geometry=geometry_at(self._robot, inputs.position, inputs.rotation),
+            distance=0.0,
+        )
+        target = PlanTarget(
+            position=inputs.target, velocity=inputs.target_velocity, rotation=None, tension=rest
+        )
+        center = self._robot.center_of_mass + inputs.center
+        if not np.array_equal(center, self._loaded.center_of_mass):
+            self._loaded = replace(self._robot, center_of_mass=center)
+        load = _KnownLoad(robot=self._loaded, acceleration=inputs.acceleration)
+        return self._planner.refine(
+            start, target, time=time, load=load, offset=self._follower.surplus, guess=self._plan,
+            habit=habit, iterations=iterations,
+        )  # fmt: skip
+
+    def _excess_of(self, plan: Plan) -> Array:
+        """Return sag less stretch at the end of the first stage [m], shape (n,)."""
+        position, rotation = pose_of(plan.state[1], plan.rotation)
+        geometry = geometry_at(self._robot, position, rotation)
+        return excess_at(self._robot, position, rotation, plan.tension[0], geometry)
+
+    def _keep(self, numbers: Array, tension: Array, excess: Array) -> None:
+        if np.isfinite(excess).all():
+            self._numbers.append(numbers)
+            self._tension.append(tension)
+            self._excess.append(excess)

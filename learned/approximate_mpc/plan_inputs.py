@@ -1,0 +1,82 @@
+"""What a plan depends on, as numbers that a network reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.mpc import model
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
+
+HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanInputs:
+    """State, reference and what is known of the load, N stages.
+
+    Attributes:
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+        twist: Linear first, in W, at the origin, shape (6,).
+        target: Reference at the times of the plan from now on [m], shape (N + 1, 3).
+        target_velocity: [m/s], shape (N + 1, 3).
+        center: Of mass, from that of the robot file, in P [m], shape (3,).
+        acceleration: That the model does not know, in W [m/s^2, rad/s^2], shape (6,).
+        usual_tension: Of the last half second, along the chords [N], shape (n,).
+        usual_place: Reference of the same time, from now [m], shape (3,).
+    """
+
+    position: Array
+    rotation: Array
+    twist: Array
+    target: Array
+    target_velocity: Array
+    center: Array
+    acceleration: Array
+    usual_tension: Array
+    usual_place: Array
+
+
+def input_count(robot: Robot, stages: int) -> int:
+    """Return how many numbers `PlanNumbers` gives."""
+    return 3 + 3 + 6 + 6 * (stages + 1) + 3 + 6 + robot.n + 3
+
+
+class PlanNumbers:
+    """Turns inputs into the numbers that a network reads, for one robot."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Take the robot's box and home."""
+        self._middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+        self._unit = 2.0 / (robot.workspace_max - robot.workspace_min)
+        self._home = np.ascontiguousarray(robot.home_rotation.T)
+        self._share = robot.n / robot.weight
+
+    def of(self, inputs: PlanInputs) -> Array:
+        """Return the numbers, in units of the robot where they have any."""
+        return np.concatenate([
+            (inputs.position - self._middle) * self._unit,
+            _small_turn(inputs.rotation @ self._home),
+            inputs.twist,
+            (inputs.target - inputs.position).ravel(),
+            (inputs.target_velocity - inputs.twist[:3]).ravel(),
+            inputs.center,
+            inputs.acceleration,
+            inputs.usual_tension * self._share,
+            inputs.usual_place,
+        ])  # fmt: skip
+
+
+def _small_turn(rotation: Array) -> Array:
+    """Return the modified Rodrigues parameters (3,) of less than half a turn."""
+    (a, d, e), (f, b, g), (h, k, c) = rotation.tolist()
+    square = 1.0 + a + b + c
+    if square < HALF_TURN:  # which no network has seen
+        return model.parameters_of(rotation)
+    root = math.sqrt(square)  # of the quaternion: its scalar is root / 2, its vector (k - g, ...)
+    share = 1.0 / (root * (2.0 + root))  # over 2 root
+    return np.array([share * (k - g), share * (e - h), share * (f - d)])

@@ -1,0 +1,227 @@
+"""The network of `approximate_mpc` in its ONNX file, with the robot that it was trained for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.mpc.settings import MpcSettings
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile, did_you_mean
+from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.numbers import check_positive, check_whole
+from carosac_toolkit.robot.differences import same
+from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.plan_inputs import input_count
+from learned.policy_controller import POLICY_SUFFIX, TRAINED_FIELDS, TRAINED_MOTION_FIELDS
+from learned.policy_file import (
+    METADATA_PREFIX,
+    Layers,
+    checked_layers,
+    described_network,
+    network_model,
+    open_network,
+    record_of,
+    robot_of,
+)
+
+PLAN_SCHEMA = "carosac-plan/1"
+PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
+BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
+INPUT_MAX = 1e6  # of the numbers that it reads
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanDescription:
+    """Description of what a network was trained for, and how.
+
+    Attributes:
+        robot: The nominal robot.
+        mpc: Settings of the controller that it learned from; all that was chosen.
+        excess_scale: Sag less stretch for an output of 1 [m].
+        seed: Of the training.
+        commit: Of the code that trained it.
+        training: Numbers of the training, by name.
+        scores: What was found at its end, by name with its unit.
+    """
+
+    robot: Robot
+    mpc: dict[str, Any]
+    excess_scale: float
+    seed: int
+    commit: str
+    training: dict[str, float]
+    scores: dict[str, float]
+
+
+class PlanNetwork:
+    """First tensions of a plan, and sag less stretch that belong to them.
+
+    Attributes:
+        description: What it was trained for.
+        settings: Of MPC, for `PlanFollower`.
+    """
+
+    def __init__(self, session: Any, description: PlanDescription) -> None:
+        self.description = description
+        self.settings = MpcSettings(**description.mpc)
+        self._session = session
+        robot = description.robot
+        self._n = robot.n
+        self._middle = 0.5 * (robot.tension_max + robot.tension_min)
+        self._half = 0.5 * (robot.tension_max - robot.tension_min)
+
+    @classmethod
+    def load(cls, path: str | Path) -> PlanNetwork:
+        """Read a network with onnxruntime alone, to run on one core.
+
+        Raises:
+            MissingFile: There is no such file.
+            InvalidField: It is no file that `write_plan_network` wrote, or a damaged one.
+            MissingExtra: onnxruntime is not installed.
+        """
+        if not Path(path).is_file():
+            raise MissingFile(path)
+        session = open_network(path, PLAN_FILE_NAME)
+        try:
+            description = _described(path, session.get_modelmeta().custom_metadata_map)
+            network = cls(session, description)
+            network._check_sizes(path)
+        except MALFORMED as error:
+            got = f"{path} with damaged metadata: {error}"
+            raise InvalidField("path", got, PLAN_FILE_NAME) from error
+        return network
+
+    def plan(self, numbers: Array) -> tuple[Array, Array]:
+        """Return tensions [N] within the limits and sag less stretch [m], each (n,).
+
+        Args:
+            numbers: As `PlanNumbers` gives them.
+
+        Raises:
+            InvalidField: One of them is not finite, or far from all that a robot does.
+        """
+        if not np.abs(numbers).max() <= INPUT_MAX:
+            raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
+        seen = {"observation": numbers.astype(np.float32)[None]}
+        action = self._session.run(["action"], seen)[0][0].astype(np.float64)
+        tension = self._middle + self._half * action[: self._n]
+        return tension, self.description.excess_scale * action[self._n :]
+
+    def check(self, robot: Robot) -> None:
+        """Refuse a robot that the network was not trained for.
+
+        Raises:
+            InvalidField: Names the fields that differ.
+        """
+        trained = self.description.robot
+        if trained.n != robot.n:
+            allowed = f"{trained.n}, as the robot of the network: train one with `carosac distill`"
+            raise InvalidField("robot", f"{robot.n} cables", allowed)
+        needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS
+        names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
+        if names:
+            allowed = (
+                f"{trained.name!r}, which the network was trained for; {', '.join(names)} differ"
+            )
+            raise InvalidField(
+                "robot", repr(robot.name), f"{allowed}: train one with `carosac distill`"
+            )
+
+    def _check_sizes(self, path: str | Path) -> None:
+        """Refuse a network that does not fit, or gives no numbers."""
+        robot = self.description.robot
+        count = input_count(robot, self.settings.stages)
+        sizes = (self._session.get_inputs()[0].shape[1], self._session.get_outputs()[0].shape[1])
+        if sizes != (count, 2 * robot.n):
+            got = f"{path} of {sizes[0]} to {sizes[1]} numbers"
+            raise InvalidField("path", got, f"{count} to {2 * robot.n}")
+        for scale in (0.0, 1.0, 1e3):
+            told = np.concatenate(self.plan(np.full(count, scale)))
+            if not np.isfinite(told).all():
+                raise InvalidField("path", f"{path}, which gives no numbers", PLAN_FILE_NAME)
+
+
+def write_plan_network(path: str | Path, layers: Layers, description: PlanDescription) -> None:
+    """Write a perceptron with silu in between and tanh at its end, as a whole or not at all.
+
+    Raises:
+        InvalidField: Layers that do not fit.
+        MissingExtra: onnx is not installed.
+    """
+    model = network_model(checked_layers(layers), "silu")
+    record = {f.name: getattr(description, f.name) for f in fields(PlanDescription)}
+    data = described_network(model, PLAN_SCHEMA, record | {"robot": record_of(description.robot)})
+    with replacing(Path(path)) as temporary:
+        temporary.write_bytes(data)
+
+
+def settings_record(settings: MpcSettings) -> dict[str, Any]:
+    """Return settings of MPC as JSON holds them; numbers of the robot's size as they are."""
+    return asdict(replace(settings, compiled="auto"))
+
+
+def list_networks() -> tuple[str, ...]:
+    """Return the names of the networks that come with the toolkit, sorted."""
+    return tuple(
+        sorted(
+            name for name in BUNDLED.values() if (_folder() / f"{name}{POLICY_SUFFIX}").is_file()
+        )
+    )
+
+
+def bundled_network(robot: Robot) -> str:
+    """Return the name of the bundled network that a robot gets by default.
+
+    Raises:
+        InvalidField: There is none.
+    """
+    if robot.name not in BUNDLED:
+        allowed = (
+            f"a robot with a bundled network, of {sorted(BUNDLED)}, or a network of its own: "
+            "`carosac distill`"
+        )
+        raise InvalidField("robot", repr(robot.name), allowed)
+    return BUNDLED[robot.name]
+
+
+def find_network(name_or_path: str) -> Path:
+    """Find the file of a network.
+
+    Args:
+        name_or_path: A bundled name, or a path.
+
+    Raises:
+        InvalidField: There is none of that name.
+    """
+    names = list_networks()
+    if name_or_path in names:
+        return _folder() / f"{name_or_path}{POLICY_SUFFIX}"
+    path = Path(name_or_path)
+    if path.suffix != POLICY_SUFFIX and not path.exists():
+        allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
+        raise InvalidField("policy", repr(name_or_path), allowed)
+    return path
+
+
+def _folder() -> Path:
+    return Path(str(files("learned"))) / "plans"
+
+
+def _described(path: str | Path, metadata: Mapping[str, str]) -> PlanDescription:
+    """Read the description in the metadata of a file."""
+    schema = metadata.get(METADATA_PREFIX + "schema")
+    if schema != PLAN_SCHEMA:
+        got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
+        raise InvalidField("path", got, f"{PLAN_FILE_NAME}, schema {PLAN_SCHEMA}")
+    names = [f.name for f in fields(PlanDescription)]
+    record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
+    check_positive("excess_scale", record["excess_scale"], "m")
+    check_whole("seed", record["seed"], 0)
+    return PlanDescription(**record | {"robot": robot_of(path, record["robot"])})

@@ -1,0 +1,96 @@
+"""Train a network that does what MPC would do, in a fraction of its time.
+
+MPC drives simulated plants along random paths and says which tensions it plans; a network learns
+that. Then the network drives and MPC says what it would have done, for some rounds. After an
+interruption the same command goes on where it was.
+
+The network runs on any driver as the controller approximate_mpc: carosac compare --controllers
+approximate_mpc --set controller.approximate_mpc.policy=FILE
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.base.tables import format_table, terminal_width, wrapped
+from carosac_toolkit.cli.common import CommandResult, DefaultRobotOptions, OutputFolder
+from carosac_toolkit.reports.page import check_folder
+from carosac_toolkit.robot.file import load_robot
+from learned.approximate_mpc.training import TABLE_FILE, DistillationSettings, distill
+from learned.commands.status_line import StatusLine
+
+RESULTS_FOLDER = Path("carosac-results") / "distill"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(DefaultRobotOptions):
+    """Options of ``carosac distill``."""
+
+    drives: int | None = None
+    """Drives of each round: fewer for a first look. By default 80 to 120, a quarter of an hour on
+    two cores."""
+    updates: int | None = None
+    """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth
+    of them."""
+    workers: int | None = None
+    """Processes that drive; by default one per core."""
+    output: OutputFolder = None
+    """Folder for all results; by default one in carosac-results/distill. An interrupted training
+    there goes on."""
+
+
+def run(options: Options) -> CommandResult:
+    """Train, and tell what came of it."""
+    robot = load_robot(options.robot)
+    settings = DistillationSettings()
+    for name in ("drives", "updates", "workers"):
+        if getattr(options, name) is not None:
+            check_whole(f"--{name}", getattr(options, name), 1)
+    check_whole("--seed", options.seed, 0)
+    rounds = len(settings.drives)
+    if options.drives is not None:
+        settings = replace(settings, drives=(options.drives,) * rounds)
+    if options.updates is not None:
+        early = max(1, options.updates // 5)
+        settings = replace(settings, updates=(early,) * (rounds - 1) + (options.updates,))
+    folder = options.output or RESULTS_FOLDER / f"{robot.name}-seed{options.seed}"
+    check_folder("--output", folder)
+    line = (
+        f"approximate_mpc: MPC drives {robot.name}, and a network learns from it; seed "
+        f"{options.seed}, {rounds} rounds, {sum(settings.drives)} drives in all, to {folder}"
+    )
+    print(wrapped(line, terminal_width()), flush=True)
+    status = StatusLine()
+    try:
+        path = distill(
+            robot, folder, seed=options.seed, settings=settings,
+            workers=options.workers or os.cpu_count() or 1,
+            report=lambda what, done, of: status.tell(f"{what} {done} of {of}"),
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from there", flush=True)
+        raise
+    finally:
+        status.clear()
+    with (folder / TABLE_FILE).open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    header = ["round", "drives", "samples", "lost", "drive error [mm]", "trained on [N]", "not [N]"]
+    print(
+        format_table(
+            header,
+            [
+                [
+                    row["round"], row["drives"], row["samples"], row["lost"],
+                    f"{1e3 * float(row['drive_error_m']):.1f}",
+                    f"{float(row['trained_error_N']):.2f}", f"{float(row['held_out_error_N']):.2f}",
+                ]
+                for row in rows
+            ],
+        )
+    )  # fmt: skip
+    print(f"network: {path}")
+    return CommandResult({"robot": robot.name, "folder": folder, "network": path, "rounds": rows})
