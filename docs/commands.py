@@ -40,6 +40,7 @@ QUICK = ("calibrate", "check", "import", "robots", "validate")
 SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
     "calibrate guide": {"--accuracy": ("0.008",), "--checks": ("1",)},
     "compare": {"--seeds": ("1",), "--trajectories": ("fast_move",), "--workers": ("0",)},
+    "distill": {"--drives": ("1",), "--updates": ("20",)},
     "evaluate": {"--trajectories": ("2",)},
     "identify": {"--train": ("0:110",), "--test": ("110:160",)},  # of one recording
     "plc": {"--duration": ("40",)},
@@ -74,7 +75,9 @@ WRONG_ROBOT = (
 )
 
 # Seconds that one of a name takes (others about 4), to share them out among jobs.
-SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "run": 15.0}
+SECONDS = {
+    "compare": 30.0, "distill": 60.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "run": 15.0,
+}  # fmt: skip
 
 # Commands that cannot run here, and why.
 EXCEPTIONS = {

@@ -35,6 +35,7 @@ TENSION_MAP = "plasma_r"
 CONTROLLER_WORDS = {
     "kinematic_solver": "kinematic solver", "straight_line": "straight-line model",
     "input_shaping": "input shaping", "mpc": "MPC", "td3": "learned policy (TD3)",
+    "approximate_mpc": "approximate MPC",
 }  # fmt: skip
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
