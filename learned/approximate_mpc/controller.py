@@ -76,9 +76,7 @@ class PlanFollower:
             InvalidField: It has more or less.
         """
         require("approximate model predictive control", "casadi")
-        if not 3 <= robot.n <= CABLES_MAX:
-            allowed = f"3 to {CABLES_MAX}, which let the platform sway"
-            raise InvalidField("robot", f"{robot.n} cables", f"{allowed}: use mpc")
+        check_cables(robot)
         self.settings, _ = settings_for(robot, settings)
         scales = Scales(robot)
         self.robot, self.ratios = robot, scales.ratios
@@ -279,6 +277,17 @@ class PlanFollower:
         most = self._acceleration_max
         found = self._acceleration + gained / duration
         self._acceleration = np.minimum(np.maximum(found, -most), most)
+
+
+def check_cables(robot: Robot) -> None:
+    """Refuse a robot of fewer than three cables, or of so many that it does not sway.
+
+    Raises:
+        InvalidField: It is one.
+    """
+    if not 3 <= robot.n <= CABLES_MAX:
+        allowed = f"3 to {CABLES_MAX}, which let the platform sway: use mpc"
+        raise InvalidField("robot", f"{robot.n} cables", allowed)
 
 
 class ApproximateMpc:

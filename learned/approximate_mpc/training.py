@@ -31,6 +31,7 @@ from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.controller import check_cables
 from learned.approximate_mpc.demonstrations import (
     Demonstrations,
     DemonstrationSettings,
@@ -118,6 +119,7 @@ def distill(
     require("training", "onnx", "torch")
     chosen = settings or DistillationSettings()
     check_whole("workers", workers, 1)
+    check_cables(robot)
     driven = resolved(demonstrations or DemonstrationSettings(), Scales(robot).ratios)
     teacher, _ = settings_for(robot, mpc or MpcSettings())
     _begin(folder, robot, seed, chosen, driven, teacher)

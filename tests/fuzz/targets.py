@@ -28,6 +28,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import read_cases, read_rows
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE, opened
 from carosac_toolkit.studies.run.rows import make_row
+from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.learning_curve import CURVE_COLUMNS, Episode, read_curve, read_episodes, write_curve
 from learned.policy_file import Policy
 from learned.rewards import RewardSettings
@@ -185,6 +186,11 @@ def _policies() -> list[bytes]:
     return [path.read_bytes() for path in sorted(folder.glob("*settle.onnx"))]
 
 
+def _plans() -> list[bytes]:
+    folder = Path(str(files("learned") / "plans"))
+    return [path.read_bytes() for path in sorted(folder.glob("*.onnx"))]
+
+
 def _policy_changed(data: bytes, rng: np.random.Generator) -> bytes:
     """Change metadata, a weight or a node of a network that stays one."""
     import onnx
@@ -322,6 +328,8 @@ def targets() -> tuple[Target, ...]:
                lambda path: read_targets(str(path), ROBOT)),
         Target("motor angles", "angles.csv", lambda: [ANGLES_CSV], load_motor_angles),
         Target("policy", "policy.onnx", _policies, Policy.load,
+               (*MUTATORS_OF_BYTES, _policy_changed), weight=0.3),
+        Target("plan network", "network.onnx", _plans, PlanNetwork.load,
                (*MUTATORS_OF_BYTES, _policy_changed), weight=0.3),
         Target("checkpoint", "checkpoint.safetensors",
                lambda: [written(_checkpoint, "checkpoint.safetensors")], _read_checkpoint,

@@ -1,0 +1,147 @@
+"""The network that learned from MPC against MPC: tracking, slack, hand-overs and time.
+
+Run by hand: ``python -m benchmarks.approximate_mpc [--seeds N] [--robots NAME ...]
+[--networks FILE ...]``; two processes. The same plants, paths and estimator as of the drives in
+`benchmarks.learning`; ratios are of one plant and path each. Runs are kept under
+``benchmarks/approximate_mpc.parts`` by the content of the network, so that a run goes on where
+another one ended; remove the folder where other code has changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import carosac_toolkit as ct
+from benchmarks.controllers import MOVES, SMOOTH, Task, score
+from benchmarks.results import table, write_section
+from carosac_toolkit.base.files import replacing
+from learned.approximate_mpc.plan_network import PlanNetwork, bundled_network, find_network
+
+KEPT = Path(__file__).parent / "approximate_mpc.parts"
+TITLE, CONTROLLER = "Approximate MPC", "approximate_mpc"
+PATHS = (*MOVES, SMOOTH)
+NUMBERS = ("rmse", "sway", "slack", "believed", "fallbacks", "cycles", "limited")
+SIGMAS_95 = 1.96
+
+
+def drive(task: Task) -> dict[str, Any]:
+    """Score a run, unless that was kept."""
+    what = "mpc" if task.policy is None else _content(task.policy)
+    path = KEPT / f"{task.robot}-{what}-{PATHS.index(task.path)}-{task.seed}.json"
+    if path.is_file():
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    row = score(task)
+    kept: dict[str, Any] = (
+        {"failed": row["failed"]}
+        if "failed" in row
+        else {name: float(row[name]) for name in NUMBERS}
+    )
+    KEPT.mkdir(exist_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(kept), encoding="utf-8")
+    return kept
+
+
+def _content(policy: str) -> str:
+    """Return a short name for the content of a network's file."""
+    return hashlib.sha256(find_network(policy).read_bytes()).hexdigest()[:12]
+
+
+def latencies(robot: str) -> tuple[float, float]:
+    """Return the median CPU time of a command [s], of the network and of MPC."""
+    tasks = [
+        Task(robot=robot, controller=name, path=PATHS[0], seed=0) for name in (CONTROLLER, "mpc")
+    ]
+    mine, theirs = (float(np.median(score(task)["latency"])) for task in tasks)
+    return mine, theirs
+
+
+def rows_of(robot: str, label: str, mine: Sequence[Any], theirs: Sequence[Any]) -> list[list[str]]:
+    """Return a row for each path: a network's drives beside MPC's on the same plants."""
+    rows = []
+    for k, path in enumerate(PATHS):
+        both = [
+            (a, b) for a, b in zip(mine[k], theirs[k], strict=True)
+            if "failed" not in a and "failed" not in b
+        ]  # fmt: skip
+        failed = [sum("failed" in one for one in side[k]) for side in (mine, theirs)]
+        logs = np.log([a["rmse"] / b["rmse"] for a, b in both])
+        spread = SIGMAS_95 * logs.std(ddof=1) / np.sqrt(len(logs)) if len(logs) > 1 else np.nan
+        values = [
+            {name: np.array([one[name] for one in side]) for name in NUMBERS}
+            for side in zip(*both, strict=True)
+        ]
+        rms = [[1e3 * np.sqrt((v[n] ** 2).mean()) for n in ("rmse", "sway")] for v in values]
+        rows.append([
+            robot, label, path,
+            f"{rms[0][0]:.1f} / {rms[0][1]:.1f}", f"{rms[1][0]:.1f} / {rms[1][1]:.1f}",
+            f"{np.exp(logs.mean()):.2f}, up to {np.exp(logs.mean() + spread):.2f}",
+            f"{100 * values[0]['slack'].mean():.1f}, {100 * values[1]['slack'].mean():.1f}",
+            f"{100 * values[0]['fallbacks'].sum() / values[0]['cycles'].sum():.2f}",
+            f"{failed[0]}, {failed[1]} of {len(mine[k])}",
+        ])  # fmt: skip
+    return rows
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=15)
+    parser.add_argument("--robots", nargs="+", default=["carosac", "scampi"])
+    parser.add_argument("--networks", nargs="*", default=[], help="ONNX files; beside the bundled")
+    parser.add_argument("--processes", type=int, default=2)
+    asked = parser.parse_args()
+    networks = [bundled_network(ct.load_robot(name)) for name in asked.robots] + asked.networks
+    loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
+    every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}
+    for name, description in loaded:
+        if description.robot.name in every:
+            every[description.robot.name].append((f"seed {description.seed}", name))
+    tasks = [
+        Task(robot=robot, controller=CONTROLLER if policy else "mpc", path=path, seed=seed,
+             policy=policy)
+        for robot, those in every.items()
+        for policy in [None, *(policy for _, policy in those)]
+        for path in PATHS for seed in range(asked.seeds)
+    ]  # fmt: skip
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(asked.processes) as pool:
+        done = iter(pool.map(drive, tasks, chunksize=1))
+    times = {robot: latencies(robot) for robot in asked.robots}
+    rows = []
+    for robot, those in every.items():
+        groups = [
+            [[next(done) for _ in range(asked.seeds)] for _ in PATHS] for _ in range(len(those) + 1)
+        ]
+        for (label, _), mine in zip(those, groups[1:], strict=True):
+            rows += rows_of(robot, label, mine, groups[0])
+    clocks = [
+        [robot, f"{1e3 * mine:.3f}", f"{1e3 * theirs:.2f}", f"{theirs / mine:.1f}"]
+        for robot, (mine, theirs) in times.items()
+    ]
+    header = [
+        "robot", "network", "path", "tracking / sway [mm]", "of MPC", "ratio, 95 % bound",
+        "slack, of MPC [% of the time]", "handed over [% of the cycles]", "failed, of MPC",
+    ]  # fmt: skip
+    text = [
+        f"{asked.seeds} plants drawn from nominal-1, `dynamic_estimator` on lengths and IMU; "
+        "networks by the seed of their training; ratios of tracking are means over pairs of runs "
+        "on one plant and path, and the upper bound of the mean.",
+        "", table(header, rows), "",
+        "CPU time of a command in the loop, median of a drive of each on one plant and path, one "
+        "after the other:",
+        "", table(["robot", "network [ms]", "MPC [ms]", "ratio"], clocks),
+    ]  # fmt: skip
+    write_section("approximate-mpc", TITLE, "python -m benchmarks.approximate_mpc", "\n".join(text))
+
+
+if __name__ == "__main__":
+    main()

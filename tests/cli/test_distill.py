@@ -1,0 +1,49 @@
+"""`carosac distill`, as a user runs it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.robot.file import robot_text
+
+pytest.importorskip("torch")
+
+
+@pytest.fixture(scope="module")
+def robot_file(tmp_path_factory):
+    """A robot whose paths are short."""
+    text = robot_text("carosac")
+    box = "workspace: {center: [0.4, -1.8, 3.0], size: [4, 4, 4]}"
+    assert box in text
+    path = tmp_path_factory.mktemp("robot") / "small.yaml"
+    path.write_text(text.replace(box, "workspace: {center: [0.4, -1.8, 2.2], size: [1, 1, 1]}"))
+    return path
+
+
+def test_a_training_leaves_a_network_that_compare_takes(robot_file, tmp_path, capsys):
+    words = ["distill", "--robot", str(robot_file), "--drives", "1", "--updates", "50",
+             "--workers", "1", "--output", str(tmp_path / "out")]  # fmt: skip
+    assert main([*words, "--json", str(tmp_path / "first.json")]) == 0
+    data = json.loads((tmp_path / "first.json").read_text())
+    assert [row["drives"] for row in data["rounds"]] == ["1", "2", "3", "4"]
+    assert "held out" in capsys.readouterr().out.lower() or data["network"]
+    assert main(words) == 0  # all is there already
+    status = main([
+        "compare", "--robot", str(robot_file), "--controllers", "approximate_mpc",
+        "--estimators", "dynamic_estimator", "--trajectories", "fast_move", "--seeds", "1",
+        "--workers", "0", "--set", f"controller.approximate_mpc.policy={data['network']}",
+        "--output", str(tmp_path / "study"),
+    ])  # fmt: skip
+    assert status in (0, 1)  # it has hardly learned anything
+    assert main([*words[:-1], str(tmp_path / "out"), "--seed", "3"]) == 2
+
+
+def test_wrong_options_are_refused(robot_file, tmp_path, capsys):
+    assert main(["distill", "--robot", str(robot_file), "--drives", "0"]) == 2
+    assert "--drives" in capsys.readouterr().err
+    assert main(["distill", "--robot", "cogiro", "--output", str(tmp_path / "eight")]) == 2
+    assert "3 to 5" in capsys.readouterr().err
+    assert not (tmp_path / "eight").exists()

@@ -1,0 +1,127 @@
+"""A network in place of MPC's planner: as good where it was trained, and handed over where not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from baselines.mpc import MpcSettings
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Reference
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.studies.run.run_case import Truth
+from learned.approximate_mpc.controller import (
+    ApproximateMpc,
+    ApproximateMpcSettings,
+    PlanFollower,
+)
+from learned.approximate_mpc.plan_network import list_networks
+from sim_warp.driver import SimDriver, SimDriverSettings
+from tests.robots import eight_cable_robot, hanging
+
+
+@pytest.fixture(scope="module", params=["carosac", "scampi"])
+def robot(request):
+    return ct.load_robot(request.param)
+
+
+def drive(robot, controller, path):
+    """Drive the nominal robot with perfect sensors; return the log."""
+    start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
+    settings = SimDriverSettings(period=controller.period, start_position=start)
+    driver = SimDriver.build(robot, settings)
+    return run(driver, Truth(driver), controller, path, duration=path.duration + 1.0)
+
+
+def move_of(robot):
+    middle, half = robot.home_position, 0.5 * (robot.workspace_max - robot.workspace_min)
+    return trajectories.line(
+        middle - 0.3 * half * [1, 1, 0], middle + 0.3 * half * [1, 1, 0.5],
+        speed_max=2.0, acceleration_max=2.0,
+    )  # fmt: skip
+
+
+def test_it_follows_a_fast_move_as_mpc_does(robot):
+    path, errors = move_of(robot), []
+    for name in ("approximate_mpc", "mpc"):
+        controller = plugins.load("controllers", name).build(robot)
+        log = drive(robot, controller, path)
+        errors.append(float(np.sqrt(((log.position - log.reference) ** 2).sum(axis=2).mean())))
+        assert not controller.fallbacks
+        assert (log.tension[10:] > 0.0).all()
+    assert errors[0] < 1.5 * errors[1] + 2e-3
+
+
+def test_the_platform_stays_where_it_is(robot):
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    controller = ApproximateMpc.build(robot)
+    belief = Belief(
+        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
+    )
+    controller.reset(belief)
+    first = controller.command(belief, still(controller, robot.home_position)).unstrained_length
+    assert first == pytest.approx(rest.unstrained_length, abs=3e-3)
+
+
+def still(controller, position, away=0.0):
+    rows = round(controller.horizon / controller.period) + 1
+    place = np.broadcast_to(position + np.array([away, 0.0, 0.0]), (1, rows, 3))
+    return Reference(
+        time=controller.period * np.arange(rows)[None], position=place,
+        velocity=np.zeros_like(place), acceleration=np.zeros_like(place),
+    )  # fmt: skip
+
+
+def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
+    robot = ct.load_robot("carosac")
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    controller = ApproximateMpc.build(robot)
+    belief = Belief(
+        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
+    )
+    controller.reset(belief)
+    here = still(controller, robot.home_position)
+    sent = [controller.command(belief, here).unstrained_length[0]]
+    lost = replace(belief, position=belief.position + np.array([0.0, 0.0, 0.8]))
+    for k in range(150):
+        seen = lost if 20 <= k < 25 else belief
+        sent.append(controller.command(seen, here).unstrained_length[0])
+    counts = controller.fallbacks
+    assert counts["lengths apart from the belief"] == 5
+    assert counts["calming down"] == pytest.approx(1.0 / controller.period, abs=2)
+    acceleration = np.diff(sent, 2, axis=0) / controller.period**2
+    assert np.abs(acceleration).max() < 3.0  # nothing jumps, though the belief does
+
+
+def test_it_is_refused_for_robots_that_it_does_not_know():
+    with pytest.raises(InvalidField, match="3 to 5"):
+        PlanFollower(eight_cable_robot(), MpcSettings())
+    with pytest.raises(InvalidField, match="carosac distill"):
+        ApproximateMpc.build(hanging(3))
+    with pytest.raises(InvalidField, match="mass differ"):
+        ApproximateMpc.build(replace(ct.load_robot("carosac"), mass=1.0))
+    with pytest.raises(InvalidField, match="one of"):
+        ApproximateMpc.check_settings(ApproximateMpcSettings(policy="carosac-mcp"))
+    assert list_networks() == ("carosac-mpc", "scampi-mpc")
+
+
+def test_a_reference_that_ends_too_soon_is_refused():
+    robot = ct.load_robot("carosac")
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    controller = ApproximateMpc.build(robot)
+    belief = Belief(time=np.zeros(1), position=rest.position, rotation=rest.rotation)
+    short = still(controller, robot.home_position)
+    short = Reference(
+        **{n: getattr(short, n)[:, :5] for n in ("time", "position", "velocity", "acceleration")}
+    )
+    with pytest.raises(InvalidField, match="reset"):
+        controller.command(belief, short)
+    controller.reset(belief)
+    with pytest.raises(InvalidField, match="those of the horizon"):
+        controller.command(belief, short)

@@ -1,0 +1,99 @@
+"""A small training from beginning to end, killed and gone on with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from carosac_toolkit.base.errors import InvalidField
+from learned.approximate_mpc.demonstrations import Demonstrations, DemonstrationSettings
+from learned.approximate_mpc.plan_inputs import input_count
+from learned.approximate_mpc.plan_network import PlanNetwork, write_plan_network
+from learned.approximate_mpc.training import DistillationSettings, distill
+from learned.policy_controller import find_policy
+from tests.robots import hanging
+
+pytest.importorskip("torch")
+SMALL = DistillationSettings(drives=(2, 1), updates=(150, 150), batch=64, hidden=(32,))
+SHORT = DemonstrationSettings(condition="nominal-1", nearby=1, speed_max=2.0, acceleration_max=3.0)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    small = ct.load_robot("carosac")  # in a small box no path is long
+    middle = small.home_position
+    return replace(small, workspace_min=middle - 0.5, workspace_max=middle + 0.5)
+
+
+@pytest.fixture(scope="module")
+def folder(robot, tmp_path_factory):
+    place = tmp_path_factory.mktemp("distilled")
+    told = []
+    distill(
+        robot, place, settings=SMALL, demonstrations=SHORT,
+        report=lambda what, done, of: told.append((what, done, of)),
+    )  # fmt: skip
+    assert ("round 1 of 2: drives", 2, 2) in told
+    return place
+
+
+def test_mpc_follows_the_path_through_what_commands_a_network(folder):
+    """The teacher's tensions, sent as the network's are, are as good as those of `mpc`."""
+    first = Demonstrations.load(folder / "drive-0000.npz")
+    assert first.error < 0.03
+    assert len(first.numbers) == len(first.tension) == len(first.excess) > 50
+
+
+def test_a_training_that_was_killed_goes_on_as_if_it_had_not(robot, folder):
+    whole = (folder / "network.onnx").read_bytes()
+    table = (folder / "rounds.csv").read_text()
+    for name in ("network.onnx", "round-2.onnx", "drive-0002.npz"):
+        (folder / name).unlink()
+    distill(robot, folder, settings=SMALL, demonstrations=SHORT)
+    assert (folder / "network.onnx").read_bytes() == whole
+    assert (folder / "rounds.csv").read_text() == table
+
+
+def test_another_training_in_the_folder_is_refused(robot, folder):
+    with pytest.raises(InvalidField, match="with another training"):
+        distill(robot, folder, seed=1, settings=SMALL, demonstrations=SHORT)
+
+
+def test_tensions_of_a_network_never_leave_their_limits(robot, folder):
+    network = PlanNetwork.load(folder / "network.onnx")
+    count = input_count(robot, network.settings.stages)
+    rng = np.random.default_rng(0)
+    for scale in (1.0, 1e2, 1e5):
+        tension, _ = network.plan(scale * rng.standard_normal(count))
+        assert (tension >= robot.tension_min).all() and (tension <= robot.tension_max).all()
+    with pytest.raises(InvalidField, match="plan inputs"):
+        network.plan(np.full(count, np.nan))
+
+
+def test_a_network_is_refused_for_another_robot(robot, folder):
+    network = PlanNetwork.load(folder / "network.onnx")
+    network.check(robot)
+    with pytest.raises(InvalidField, match="mass differ"):
+        network.check(replace(robot, mass=1.1 * robot.mass))
+    with pytest.raises(InvalidField, match="3 cables"):
+        network.check(hanging(3))
+
+
+def test_a_file_of_something_else_is_refused(robot, folder, tmp_path):
+    with pytest.raises(InvalidField, match="`carosac distill` wrote"):
+        PlanNetwork.load(find_policy("carosac-settle"))
+    network = PlanNetwork.load(folder / "network.onnx")
+    layers = [(np.full((2 * robot.n, 5), 0.1), np.zeros(2 * robot.n))]
+    write_plan_network(tmp_path / "small.onnx", layers, network.description)
+    with pytest.raises(InvalidField, match="of 5 to 8 numbers"):
+        PlanNetwork.load(tmp_path / "small.onnx")
+
+
+def test_settings_that_make_no_sense_are_refused():
+    with pytest.raises(InvalidField, match="as many of both"):
+        DistillationSettings(drives=(1, 2), updates=(1,))
+    with pytest.raises(InvalidField, match="drives"):
+        DistillationSettings(drives=(0,), updates=(1,))
