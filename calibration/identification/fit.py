@@ -221,7 +221,8 @@ class Fitter:
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
-        damping, settled, coarse = DAMPING_START, False, True
+        damping, settled = DAMPING_START, False
+        coarse = steps is not None or not self._sways  # of sways, exact ones cost little more
         errors = self._errors_at(at)
         least = SETTLED_DECREASE * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
