@@ -63,15 +63,17 @@ class ShapedFallback:
         counts: Commands that were not the policy's since the reset, by reason.
     """
 
-    def __init__(self, robot: Robot, period: float) -> None:
+    def __init__(self, robot: Robot, period: float, *, continues: bool = False) -> None:
         """Build the controller.
 
         Args:
             robot: The nominal robot.
             period: Time between two commands [s].
+            continues: Whether policies go on from the lengths that were sent, and at their rate, so
+                that nothing has to fade when they take over again.
         """
         ratios = Scales(robot).ratios
-        self._robot, self._period = robot, period
+        self._robot, self._period, self._continues = robot, period, continues
         self._fade, self._calm = FADE_TIME.of(ratios), CALM_TIME.of(ratios)
         self._past: deque[Reference] = deque(maxlen=max(2, round(PAST_TIME.of(ratios) / period)))
         self._spare = [_build(robot, period)]
@@ -106,7 +108,8 @@ class ShapedFallback:
             if k in reasons and not row.shaped:
                 self._take_over(k, belief)
             elif row.shaped and row.calm > self._calm:
-                row.shaped, row.passed, row.apart = False, 0.0, None
+                row.shaped, row.apart = False, None
+                row.passed = np.inf if self._continues else 0.0
                 row.before = self._asked[k]
             if row.shaped:
                 self.counts[reasons.get(k, CALMING)] += 1

@@ -1,6 +1,7 @@
 """Model predictive control: see `docs/mpc.md`."""
 
-from baselines.mpc.controller import Mpc, NoStart
+from baselines.mpc.controller import Mpc
+from baselines.mpc.geometry import NoStart
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import CompileError

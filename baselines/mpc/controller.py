@@ -15,7 +15,7 @@ from baselines.kinematic_solver_controller import (
 from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.fallback import RestFallback
-from baselines.mpc.geometry import Geometry, excess_at, excess_under, geometry_at
+from baselines.mpc.geometry import excess_at, first_excess, geometry_at, start_geometry
 from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.plan_times import settings_for
@@ -28,7 +28,7 @@ from baselines.mpc.target_reader import TargetReader
 from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
@@ -36,10 +36,6 @@ from carosac_toolkit.robot.robot import Robot
 
 SOFTENED_RATIO = 0.01  # of a limit, by which a plan must exceed it to count as softened
 SHIFTED_STEPS_MAX = 5  # for which the last plan goes on after a failure: longer, it runs away
-
-
-class NoStart(CarosacError):
-    """A belief at which the cables cannot be, so that no command can begin there."""
 
 
 class Mpc:
@@ -121,15 +117,11 @@ class Mpc:
         self._agreement.reset()
         self._failed = 0
         self._place = belief.position[0]
-        position, rotation = belief.position[0], belief.rotation[0]
-        geometry = geometry_at(self._robot, position, rotation)
-        low, high = self._robot.length_min, self._robot.length_max
-        if not (geometry.valid and ((geometry.length > low) & (geometry.length < high)).all()):
-            raise NoStart(
-                f"mpc: position {position.round(4)} m: cables of {geometry.length.round(3)} m; "
-                f"allowed: {low.round(3)} to {high.round(3)} m, outside pulleys"
-            )
-        self._excess.reset(self._first_excess(belief, geometry))
+        position = belief.position[0]
+        geometry = start_geometry(self._robot, position, belief.rotation[0], name="mpc")
+        excess = first_excess(self._robot, belief, geometry, self._targets.at(position))
+        self.record.no_cable += not np.isfinite(excess).all()
+        self._excess.reset(excess)
         self._winches.reset(geometry.length + self._excess.value)
         self._ready = True
 
@@ -252,20 +244,6 @@ class Mpc:
         )
         self.record.fallbacks["to rest" if has_goal else "hold"] += 1
         return self._winches.accelerate(acceleration)
-
-    def _first_excess(self, belief: Belief, geometry: Geometry) -> Array:
-        """Return sag less stretch at the start [m], shape (n,); NaN where a cable cannot hang.
-
-        With more cables than six, the believed tensions may be others than those of rest.
-        """
-        position, rotation = belief.position[0], belief.rotation[0]
-        rest = self._targets.at(position)
-        excess = excess_at(self._robot, position, rotation, rest, geometry)
-        if belief.tension is not None:
-            told = excess_under(self._robot, position, rotation, belief.tension[0], geometry)
-            excess = np.where(np.isfinite(told), told, excess)
-        self.record.no_cable += not np.isfinite(excess).all()
-        return excess
 
 
 def _check_one(belief: Belief) -> None:

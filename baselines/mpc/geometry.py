@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.robot import Robot
@@ -31,6 +33,48 @@ class Geometry:
     free: Array
     direction: Array
     valid: bool
+
+
+class NoStart(CarosacError):
+    """A belief at which the cables cannot be, so that no command can begin there."""
+
+
+def start_geometry(robot: Robot, position: Array, rotation: Array, *, name: str) -> Geometry:
+    """Return straight cables at the pose where a controller starts; see `geometry_at`.
+
+    Raises:
+        NoStart: No cables can reach there; `name` is that of the controller.
+    """
+    geometry = geometry_at(robot, position, rotation)
+    low, high = robot.length_min, robot.length_max
+    if not (geometry.valid and ((geometry.length > low) & (geometry.length < high)).all()):
+        raise NoStart(
+            f"{name}: position {position.round(4)} m: cables of {geometry.length.round(3)} m; "
+            f"allowed: {low.round(3)} to {high.round(3)} m, outside pulleys"
+        )
+    return geometry
+
+
+def first_excess(robot: Robot, belief: Belief, geometry: Geometry, rest: Array) -> Array:
+    """Return sag less stretch where a controller starts [m], shape (n,).
+
+    With more cables than six, the believed tensions may be others than those of rest.
+
+    Args:
+        robot: Robot description, n cables.
+        belief: Of one robot.
+        geometry: There.
+        rest: Tensions of rest along the chords [N], shape (n,).
+
+    Returns:
+        NaN where a cable cannot hang.
+    """
+    position, rotation = belief.position[0], belief.rotation[0]
+    excess = excess_at(robot, position, rotation, rest, geometry)
+    if belief.tension is not None:
+        told = excess_under(robot, position, rotation, belief.tension[0], geometry)
+        excess = np.where(np.isfinite(told), told, excess)
+    return excess
 
 
 def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:

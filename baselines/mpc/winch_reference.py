@@ -61,11 +61,19 @@ class WinchReference:
         self._sent = np.array(length)
         self._speed = np.zeros_like(self.length)
         self._acceleration = np.zeros_like(self.length)
+        self._before = self._state()
 
     @property
     def at_rest(self) -> bool:
         """True if they have all but stopped."""
         return bool(np.abs(self.rate).max() < self._rest_speed)
+
+    @property
+    def braked(self) -> Array:
+        """The next command if the winches are to rest as soon as they can [m], shape (n,)."""
+        change = self._robot.acceleration_max * self._period * (1.0 - LIMIT_MARGIN)
+        speed = self._speed - _within(self._speed, -change, change)
+        return np.asarray(self._sent + self._period * speed)
 
     def command_range(self) -> WinchRange:
         """Return the commands within all limits; that of acceleration goes first."""
@@ -102,22 +110,42 @@ class WinchReference:
         Returns:
             The command [m], shape (n,).
         """
-        h = self._period
         wanted = length + self._lead * rate
         allowed = self.command_range()
         command = _within(wanted, allowed.low, allowed.high)
         cut = np.abs(command - wanted) > 1e-9
         self.held = bool(cut.any())
+        self._before = self._state()
         if self.held:
-            base, gain = self._response()
-            forced = self.rate + h * (command - base) / gain
-            drifted = self.length + 0.5 * h * (self.rate + forced)
+            drifted, forced = self._answer(command)
             length, rate = np.where(cut, drifted, length), np.where(cut, forced, rate)
-        self.length, self.rate = np.array(length), np.array(rate)
-        speed = (command - self._sent) / h
-        self._acceleration = (speed - self._speed) / h
-        self._speed, self._sent = speed, command
+        self._keep(command, np.array(length), np.array(rate))
         return command
+
+    def note(self, command: Array) -> None:
+        """Take note of a command [m] (n,) of someone else in this tick."""
+        self._before = self._state()
+        self._keep(command, *self._answer(command))
+
+    def instead(self, command: Array) -> None:
+        """Take note of a command [m] (n,) that was sent in place of the last one."""
+        self.length, self.rate, self._sent, self._speed, self._acceleration = self._before
+        self.note(command)
+
+    def _state(self) -> tuple[Array, Array, Array, Array, Array]:
+        return self.length, self.rate, self._sent, self._speed, self._acceleration
+
+    def _answer(self, command: Array) -> tuple[Array, Array]:
+        """Return length and rate at the end of the tick that follow from a command."""
+        base, gain = self._response()
+        forced = self.rate + self._period * (command - base) / gain
+        return self.length + 0.5 * self._period * (self.rate + forced), forced
+
+    def _keep(self, command: Array, length: Array, rate: Array) -> None:
+        self.length, self.rate = length, rate
+        speed = (command - self._sent) / self._period
+        self._acceleration = (speed - self._speed) / self._period
+        self._speed, self._sent = speed, command
 
     def accelerate(self, acceleration: Array) -> Array:
         """Return the command for a length acceleration in this tick [m/s^2], shape (n,)."""

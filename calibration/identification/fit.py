@@ -188,7 +188,8 @@ class Fitter:
         rows = np.flatnonzero(held)
         if not (self._sways and len(rows)):
             return covariance
-        seen = self._slopes(state.at, held, self._time_step, coarse=False)
+        plain = self._slopes(state.at, held, self._time_step, coarse=False)
+        seen = [a + b for a, b in zip(plain, self._missing(state.at, held), strict=True)]
         moved = np.zeros((len(covariance), len(rows)))
         for own, errors, jacobian, beside in zip(
             self._own, state.errors, state.jacobians, seen, strict=True
@@ -197,7 +198,7 @@ class Fitter:
             moved[own] += np.einsum("nci,nc,ncj->ij", jacobian, weights, beside[:, :, rows])
         moved = inverse @ moved
         moved[rows] = -np.eye(len(rows))
-        known = np.linalg.inv(self._precision[np.ix_(rows, rows)])
+        known = self._unknowns.prior.covariance[np.ix_(rows, rows)]
         apart = np.where(np.logical_or.outer(held, held), 0.0, covariance)
         return np.asarray(apart + moved @ known @ moved.T)
 
@@ -362,13 +363,18 @@ class Fitter:
         plain = self._slopes(at, searched, ratio * self._time_step, coarse=coarse)
         if not exact:
             return plain
-        if self._finer is None:  # once: it changes by less than the derivatives do
-            rough, fine = (
-                self._slopes(at, searched, self._time_step, coarse=True, refined=parts)
-                for parts in (1, 2)
-            )
-            self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
+        assert not starts, "what is kept is by all that is searched"
+        if self._finer is None:  # once: what steps of the search change of it is of second order
+            self._finer = self._missing(at, searched)
         return [each + more for each, more in zip(plain, self._finer, strict=True)]
+
+    def _missing(self, at: Array, searched: NDArray[np.bool_]) -> list[Array]:
+        """Return what derivatives of vanishing time steps have beyond those of `_slopes`."""
+        rough, fine = (
+            self._slopes(at, searched, self._time_step, coarse=True, refined=parts)
+            for parts in (1, 2)
+        )
+        return [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
 
     def _slopes(
         self,

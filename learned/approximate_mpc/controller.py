@@ -21,21 +21,20 @@ import numpy as np
 
 from baselines.mpc import model
 from baselines.mpc.excess_filter import ExcessFilter
-from baselines.mpc.geometry import Geometry, excess_under, geometry_at
+from baselines.mpc.geometry import Geometry, first_excess, geometry_at, start_geometry
 from baselines.mpc.length_offsets import OFFSET_TIME, LengthOffsets
 from baselines.mpc.observer import BELIEF_GATE
 from baselines.mpc.plan_times import settings_for
 from baselines.mpc.planner import PlanTarget
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.soft_start import SoftStart
-from baselines.mpc.target_reader import CHASE_DISTANCE_MAX
+from baselines.mpc.target_reader import CHASE_DISTANCE_MAX, TargetReader
 from baselines.mpc.unknown_load import CENTER_STEP_MIN, DISTURBANCE_MAX, UNTOLD_TIME_RATIO
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
-from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from learned.approximate_mpc.motion import FastMotion
@@ -45,7 +44,9 @@ from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
-APART = "lengths apart from the belief"
+APART, NO_TWIST = "lengths apart from the belief", "no believed twist"
+# Of the longest cable, by which lengths change before the part of it that rides along is renewed.
+RIDING_SHARE = 0.03
 CABLES_MAX = 5  # more leave no sway, and hold the attitude, which is no input
 
 
@@ -103,6 +104,10 @@ class PlanFollower:
         sizes = model.parameter_names(robot.n)
         edges = dict(zip(sizes, np.cumsum([0, *sizes.values()]), strict=False))
         self._blocks = {name: slice(edge, edge + sizes[name]) for name, edge in edges.items()}
+        self._targets = TargetReader(robot, self.grid, self.settings.distribution)
+        self._usual_place: Array | None = None
+        self._usual_tension: Array = np.zeros(robot.n)
+        self._seen_turning = False
         self._predicted: Array | None = None
         self._acceleration: Array = np.zeros(6)
         self._state: Array = np.zeros(model.STATE_SIZE)
@@ -115,29 +120,33 @@ class PlanFollower:
 
         Raises:
             InvalidField: A batch of several robots.
+            NoStart: No cables can reach there.
         """
         if len(belief.position) != 1:
             raise InvalidField("belief", f"{len(belief.position)} robots", "one")
         position, rotation = belief.position[0], belief.rotation[0]
-        self._geometry = geometry_at(self.robot, position, rotation)
-        rest = statics.inverse_kinematics(self.robot, position[None])
-        pull = rest.tension[0] if belief.tension is None else belief.tension[0]
-        self._excess.reset(excess_under(self.robot, position, rotation, pull, self._geometry))
+        geometry = start_geometry(self.robot, position, rotation, name="approximate_mpc")
+        self._targets.reset()
+        rest = self._targets.at(position)
+        self._excess.reset(first_excess(self.robot, belief, geometry, rest))
         self._offsets.reset()
-        self._winches.reset(self._geometry.length + self._excess.value)
+        self._winches.reset(geometry.length + self._excess.value)
         self._soft_start.reset()
-        self._sent = self._winches.length
-        self._usual_tension: Array = rest.tension[0]
-        self._usual_place: Array | None = None
         self._center = self.robot.center_of_mass
-        self._place(self._geometry)
+        self._free = geometry.free
+        self._place(geometry)
+        self._seen_turning = belief.twist is not None
         self._forget()
 
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
-        """Return what the next plan depends on, and why there must be none, or nothing."""
-        position, rotation = belief.position[0], belief.rotation[0]
-        twist = np.zeros(6) if belief.twist is None else belief.twist[0]
-        if self._turns:
+        """Return what the next plan depends on, and why there must be none, or nothing.
+
+        Raises:
+            InvalidField: Beliefs never had a twist.
+        """
+        position, rotation, twist = belief.position[0], belief.rotation[0], self._twist(belief)
+        ridden = np.abs(self._free - self._geometry.free).max()
+        if self._turns or ridden > RIDING_SHARE * self._geometry.free.max():
             self._place(geometry_at(self.robot, position, rotation))
         told = belief.center_of_mass
         if told is not None and np.abs(told[0] - self._center).max() > self._center_step:
@@ -149,23 +158,24 @@ class PlanFollower:
         state = self._state
         state[:3], state[3:6], state[6:] = position, 0.0, twist
         predicted = twist if self._predicted is None else self._predicted
-        free, gained = self._motion.look(state, predicted)
-        missing = self._winches.length - self._excess.value - self._wrapped - free
+        self._free, innovation = self._motion.look(state, predicted)
+        missing = self._winches.length - self._excess.value - self._wrapped - self._free
         distance = float(np.abs(missing - self._offsets.kept).max())
         target = self._target(reference, position, rotation, float(belief.time[0]))
-        reason = self._reason(distance, target.position[0], position)
+        reason = self._reason(belief, distance, target.position[0])
         if not reason:
             self._offsets.learn(missing)
             if not self._offsets.slack.any():
-                self._learn(gained, told=told is not None)
+                self._learn(innovation, told=told is not None)
             wanted = self._winches.length - self._excess.value - self._wrapped
-            state[:], rotation = self._motion.onto(
+            state[:], rotation = self._motion.project(
                 state, wanted - self._offsets.surplus, self._winches.rate
             )
             parameters[self._blocks["disturbance"]] = self._acceleration
             position, twist = state[:3].copy(), state[6:].copy()
         if self._usual_place is None:
             self._usual_place = target.position[0]
+            self._usual_tension = self._targets.at(target.position[0])
         inputs = PlanInputs(
             position=position,
             rotation=rotation,
@@ -199,26 +209,21 @@ class PlanFollower:
         assert self._usual_place is not None
         self._usual_place = self._usual_place - share * inputs.usual_place
         length = free + self._wrapped + self._excess.value + self._offsets.surplus
-        self._sent = self._winches.follow(length, rate)
-        return self._sent
+        return self._winches.follow(length, rate)
 
-    def idle(self, sent: Array) -> None:
-        """Take note of a command [m] (n,) of someone else."""
-        rate = (sent - self._sent) / self.period
-        self._winches.reset(sent)
-        self._winches.rate = rate
-        self._sent = sent
+    def instead(self, sent: Array) -> None:
+        """Take note of a command [m] (n,) that was sent in place of the last one of `follow`."""
+        self._winches.instead(sent)
+
+    def note(self, sent: Array) -> None:
+        """Take note of a command [m] (n,) of someone else, where there was no plan."""
+        self._winches.note(sent)
         self._forget()
 
     @property
-    def asked(self) -> Array:
-        """The last command [m], shape (n,)."""
-        return self._sent
-
-    @property
-    def geometry(self) -> Geometry:
-        """Cables where parameters of the model were last brought up to date."""
-        return self._geometry
+    def braked(self) -> Array:
+        """The next command if the winches are to rest as soon as they can [m], shape (n,)."""
+        return self._winches.braked
 
     @property
     def surplus(self) -> Array:
@@ -229,6 +234,17 @@ class PlanFollower:
         """Drop the prediction, and what was learned of the load, which may be wrong."""
         self._predicted = None
         self._acceleration = np.zeros(6)
+        self._usual_place = None
+
+    def _twist(self, belief: Belief) -> Array:
+        """Return the believed twist, or the predicted one while an estimator has none."""
+        if belief.twist is not None:
+            self._seen_turning = True
+            return np.asarray(belief.twist[0])
+        if not self._seen_turning:
+            allowed = "that of an estimator that gives velocities, such as dynamic_estimator"
+            raise InvalidField("belief.twist", None, allowed)
+        return np.zeros(6) if self._predicted is None else self._predicted
 
     def _place(self, geometry: Geometry) -> None:
         """Bring the parameters of the model up to date."""
@@ -255,27 +271,30 @@ class PlanFollower:
         self, reference: Reference, position: Array, rotation: Array, now: float
     ) -> PlanTarget:
         """Return the reference at the times of a plan, led on from where the platform started."""
-        places = self._rows.rows(reference.position, 1)[0]
-        speeds = self._rows.rows(reference.velocity, 1)[0]
         target = PlanTarget(
-            position=places, velocity=speeds, rotation=None, tension=self._usual_tension
+            position=self._rows.rows(reference.position, 1)[0],
+            velocity=self._rows.rows(reference.velocity, 1)[0],
+            rotation=None,
+            tension=self._usual_tension,
         )
         return self._soft_start.faded(target, position, rotation, time=now)
 
-    def _reason(self, distance: float, target: Array, position: Array) -> str:
+    def _reason(self, belief: Belief, distance: float, target: Array) -> str:
         """Return why nothing must be planned from here, or nothing."""
+        if belief.twist is None:
+            return NO_TWIST
         if not distance <= self._gate:
             return APART
         if not (np.abs(target - self._middle) <= self._reach).all():
             return OUTSIDE
-        away = position - target
+        away = belief.position[0] - target
         return "" if away @ away <= self._chase**2 else FAR
 
-    def _learn(self, gained: Array, *, told: bool) -> None:
-        """Take in what the twist gained beyond its prediction, in the free ways (6,)."""
+    def _learn(self, innovation: Array, *, told: bool) -> None:
+        """Take in what the twist has beyond its prediction, in the free ways (6,)."""
         duration = self.settings.disturbance_time * (1.0 if told else UNTOLD_TIME_RATIO)
         most = self._acceleration_max
-        found = self._acceleration + gained / duration
+        found = self._acceleration + innovation / duration
         self._acceleration = np.minimum(np.maximum(found, -most), most)
 
 
@@ -293,8 +312,8 @@ def check_cables(robot: Robot) -> None:
 class ApproximateMpc:
     """What `Mpc` would do, as a network has learned it.
 
-    Outside the box, far from the reference, or where the belief and the lengths sent do not agree,
-    input shaping commands, and `fallbacks` counts it.
+    Outside the box, far from the reference, where the belief and the lengths sent do not agree, or
+    where it lost its twist, input shaping commands, and `fallbacks` counts it.
 
     Attributes:
         period: Time between two commands [s].
@@ -314,7 +333,7 @@ class ApproximateMpc:
         self._follower = PlanFollower(robot, network.settings)
         self._numbers = PlanNumbers(robot)
         self.period = self._follower.period
-        self._fallback = ShapedFallback(robot, self.period)
+        self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)
         self._ready = False
 
@@ -353,7 +372,7 @@ class ApproximateMpc:
             InvalidField: A batch of several robots.
         """
         self._follower.reset(belief)
-        self._fallback.reset(self._follower.asked[None])
+        self._fallback.reset(self._follower.braked[None])
         self._ready = True
 
     @property
@@ -365,7 +384,8 @@ class ApproximateMpc:
         """Return the lengths for the next period.
 
         Raises:
-            InvalidField: A batch, no reset before, or a reference that ends before the horizon.
+            InvalidField: No reset before, beliefs without a twist, or a reference that ends before
+                the horizon.
         """
         if not self._ready:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
@@ -377,11 +397,13 @@ class ApproximateMpc:
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)
         idle = bool(reason) or bool(self._fallback.active[0])
-        length = self._follower.asked
+        length = self._follower.braked
         if not idle:
             tension, excess = self._network.plan(self._numbers.of(inputs))
             length = self._follower.follow(inputs, tension, excess)
         sent = self._fallback.command(length[None], belief, reference, reasons)
         if idle:
-            self._follower.idle(sent[0])
+            self._follower.note(sent[0])
+        elif not np.array_equal(sent[0], length):
+            self._follower.instead(sent[0])
         return Command(time=belief.time, unstrained_length=sent)

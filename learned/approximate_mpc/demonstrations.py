@@ -23,7 +23,8 @@ from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target_reader import TargetReader
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
@@ -89,18 +90,20 @@ class Demonstrations:
         tension: First tensions of the plan [N], shape (K, n).
         excess: Sag less stretch that belong to them [m], shape (K, n).
         error: RMS distance from the reference in the drive [m]; NaN: it was given up.
+        lost: Why, or nothing.
     """
 
     numbers: Array
     tension: Array
     excess: Array
     error: float
+    lost: str
 
     def save(self, path: Path) -> None:
         """Write a file."""
         np.savez_compressed(
             path, numbers=self.numbers.astype(np.float32), tension=self.tension,
-            excess=self.excess, error=self.error,
+            excess=self.excess, error=self.error, lost=self.lost,
         )  # fmt: skip
 
     @classmethod
@@ -109,7 +112,7 @@ class Demonstrations:
         with np.load(path) as data:
             return cls(
                 numbers=data["numbers"], tension=data["tension"], excess=data["excess"],
-                error=float(data["error"]),
+                error=float(data["error"]), lost=str(data["lost"]),
             )  # fmt: skip
 
 
@@ -149,16 +152,18 @@ def demonstrate(
     )
     estimator = plugins.load("estimators", chosen.estimator).build(robot)
     duration = path.duration + CALM_TIME.of(Scales(robot).ratios)
-    error = float("nan")
+    error, lost = float("nan"), ""
     try:
         log = run(driver, estimator, controller, path, duration=duration)
-    except CarosacError:
-        pass  # it is lost; what was learned on the way there counts
+    except (InvalidField, MissingExtra):
+        raise  # that is no matter of driving
+    except CarosacError as reason:  # it is lost; what was learned on the way there counts
+        lost = str(reason)
     else:
         assert log.position is not None
         away = np.linalg.norm(log.position - log.reference, axis=2)
         error = float(np.sqrt((away**2).mean()))
-    return controller.demonstrations(error)
+    return controller.demonstrations(error, lost)
 
 
 def draw_path(
@@ -241,7 +246,7 @@ class _Asking:
         """Return the lengths for the next period, and ask MPC on the way."""
         inputs, reason = self._follower.look(belief, reference)
         if reason:
-            raise Lost(reason)
+            raise Lost(f"the drive is lost: {reason}")
         rest = self._targets.read(reference).tension
         if self._usual_rest is None:
             self._usual_rest = rest[0]
@@ -263,7 +268,7 @@ class _Asking:
         sent = self._follower.follow(inputs, tension, excess)
         return Command(time=belief.time, unstrained_length=sent[None])
 
-    def demonstrations(self, error: float) -> Demonstrations:
+    def demonstrations(self, error: float, lost: str) -> Demonstrations:
         """Return all answers."""
         size, n = input_count(self._robot, self._follower.settings.stages), self._robot.n
         return Demonstrations(
@@ -271,6 +276,7 @@ class _Asking:
             tension=np.array(self._tension).reshape(-1, n),
             excess=np.array(self._excess).reshape(-1, n),
             error=error,
+            lost=lost,
         )
 
     def _ask(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> Plan:

@@ -33,8 +33,8 @@ class FastMotion:
         p, h = ca.SX.sym("p", motion.size1_in(2)), ca.SX.sym("h")
         twist, length, rate = ca.SX.sym("twist", 6), ca.SX.sym("l", n), ca.SX.sym("r", n)
         lengths, jacobian, along = _cables(ca, motion, x, p, n)
-        gained = x[6:] - twist
-        seen = [lengths, gained - along @ (jacobian @ gained)]
+        innovation = x[6:] - twist
+        seen = [lengths, innovation - along @ (jacobian @ innovation)]
         options = {"cse": True}
         look = ca.Function("look", [x, p, twist], [ca.densify(value) for value in seen], options)
         moved = x
@@ -75,10 +75,10 @@ class FastMotion:
 
         The latter (6,) in the ways that the cables leave free.
         """
-        lengths, gained = self._look(state, None, twist)
-        return lengths, gained
+        lengths, innovation = self._look(state, None, twist)
+        return lengths, innovation
 
-    def onto(self, state: Array, length: Array, rate: Array) -> tuple[Array, Array]:
+    def project(self, state: Array, length: Array, rate: Array) -> tuple[Array, Array]:
         """Return the nearest state whose cables have given straight lengths and rates.
 
         Args:

@@ -3,7 +3,7 @@
 MPC drives in the first round; in each later one the network that has been trained so far does, and
 MPC says what it would have done, so that the network learns where its own errors lead. A folder
 holds every drive, the network of each round and a table of errors. A training that was killed goes
-on from there as if it had not been.
+on from there; with the same code it ends as if it had not been.
 """
 
 from __future__ import annotations
@@ -267,7 +267,8 @@ def _fit(
     tension = np.concatenate([part.tension for part in parts])
     excess = np.concatenate([part.excess for part in parts])
     if not len(numbers) or held.all():
-        raise CarosacError("distillation: MPC gave no answers; is the robot too fast for it?")
+        why = next((part.lost for part in parts if part.lost), "too few drives")
+        raise CarosacError(f"distillation: MPC gave no answers that can be learned from ({why})")
     excess_scale = EXCESS_MARGIN * float(np.abs(excess).max())
     middle = 0.5 * (robot.tension_max + robot.tension_min)
     half = 0.5 * (robot.tension_max - robot.tension_min)

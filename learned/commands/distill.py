@@ -77,20 +77,18 @@ def run(options: Options) -> CommandResult:
     finally:
         status.clear()
     with (folder / TABLE_FILE).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    header = ["round", "drives", "samples", "lost", "drive error [mm]", "trained on [N]", "not [N]"]
-    print(
-        format_table(
-            header,
-            [
-                [
-                    row["round"], row["drives"], row["samples"], row["lost"],
-                    f"{1e3 * float(row['drive_error_m']):.1f}",
-                    f"{float(row['trained_error_N']):.2f}", f"{float(row['held_out_error_N']):.2f}",
-                ]
-                for row in rows
-            ],
-        )
-    )  # fmt: skip
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    header = ["round", "drives", "samples", "lost", "tracking [mm]", "off, trained [N]",
+              "off, held out [N]"]  # fmt: skip
+    cells = [
+        [
+            *(f"{row[name]:.0f}" for name in ("round", "drives", "samples", "lost")),
+            f"{1e3 * row['drive_error_m']:.1f}",
+            f"{row['trained_error_N']:.2f}",
+            f"{row['held_out_error_N']:.2f}",
+        ]
+        for row in rows
+    ]
+    print(format_table(header, cells))
     print(f"network: {path}")
     return CommandResult({"robot": robot.name, "folder": folder, "network": path, "rounds": rows})

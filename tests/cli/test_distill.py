@@ -28,8 +28,8 @@ def test_a_training_leaves_a_network_that_compare_takes(robot_file, tmp_path, ca
              "--workers", "1", "--output", str(tmp_path / "out")]  # fmt: skip
     assert main([*words, "--json", str(tmp_path / "first.json")]) == 0
     data = json.loads((tmp_path / "first.json").read_text())
-    assert [row["drives"] for row in data["rounds"]] == ["1", "2", "3", "4"]
-    assert "held out" in capsys.readouterr().out.lower() or data["network"]
+    assert [row["drives"] for row in data["rounds"]] == [1, 2, 3, 4]
+    assert "off, held out [N]" in capsys.readouterr().out
     assert main(words) == 0  # all is there already
     status = main([
         "compare", "--robot", str(robot_file), "--controllers", "approximate_mpc",
@@ -38,7 +38,9 @@ def test_a_training_leaves_a_network_that_compare_takes(robot_file, tmp_path, ca
         "--output", str(tmp_path / "study"),
     ])  # fmt: skip
     assert status in (0, 1)  # it has hardly learned anything
-    assert main([*words[:-1], str(tmp_path / "out"), "--seed", "3"]) == 2
+    assert "approximate_mpc" in capsys.readouterr().out
+    assert main([*words, "--seed", "3"]) == 2
+    assert "with another training" in capsys.readouterr().err
 
 
 def test_wrong_options_are_refused(robot_file, tmp_path, capsys):

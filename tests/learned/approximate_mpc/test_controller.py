@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from baselines.mpc import MpcSettings
+from baselines.mpc import MpcSettings, NoStart
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop import plugins
@@ -69,11 +69,11 @@ def test_the_platform_stays_where_it_is(robot):
     assert first == pytest.approx(rest.unstrained_length, abs=3e-3)
 
 
-def still(controller, position, away=0.0):
+def still(controller, position, cycle=0):
     rows = round(controller.horizon / controller.period) + 1
-    place = np.broadcast_to(position + np.array([away, 0.0, 0.0]), (1, rows, 3))
+    place = np.broadcast_to(position, (1, rows, 3))
     return Reference(
-        time=controller.period * np.arange(rows)[None], position=place,
+        time=controller.period * (cycle + np.arange(rows))[None], position=place,
         velocity=np.zeros_like(place), acceleration=np.zeros_like(place),
     )  # fmt: skip
 
@@ -86,17 +86,73 @@ def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
         time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
     )
     controller.reset(belief)
-    here = still(controller, robot.home_position)
-    sent = [controller.command(belief, here).unstrained_length[0]]
     lost = replace(belief, position=belief.position + np.array([0.0, 0.0, 0.8]))
+    sent = []
     for k in range(150):
-        seen = lost if 20 <= k < 25 else belief
-        sent.append(controller.command(seen, here).unstrained_length[0])
+        seen = replace(lost if 20 <= k < 25 else belief, time=np.array([k * controller.period]))
+        command = controller.command(seen, still(controller, robot.home_position, k))
+        sent.append(command.unstrained_length[0])
     counts = controller.fallbacks
     assert counts["lengths apart from the belief"] == 5
     assert counts["calming down"] == pytest.approx(1.0 / controller.period, abs=2)
     acceleration = np.diff(sent, 2, axis=0) / controller.period**2
     assert np.abs(acceleration).max() < 3.0  # nothing jumps, though the belief does
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_commands_keep_the_limits_of_the_winches_where_control_changes_hands(speed):
+    """The belief jumps for a moment while the platform moves; the lengths sent do not."""
+    robot = ct.load_robot("carosac")
+    middle, way = robot.home_position, np.array([0.0, 1.5, 0.0])
+    path = trajectories.line(
+        middle - way, middle + way, speed_max=max(speed, 0.05), acceleration_max=1.0
+    )
+    controller = ApproximateMpc.build(robot)
+    start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
+    driver = SimDriver.build(
+        robot, SimDriverSettings(period=controller.period, start_position=start)
+    )
+    log = run(driver, Dazed(driver), controller, path, duration=4.0)
+    assert controller.fallbacks["lengths apart from the belief"] == 2
+    acceleration = np.diff(log.command[:, 0], 2, axis=0) / controller.period**2
+    assert np.abs(acceleration[25:]).max() < robot.acceleration_max.max()  # it starts with a jolt
+    away = np.linalg.norm(log.position - log.reference, axis=2)[:, 0]
+    assert away.max() < 0.25 and away[-25:].max() < 0.05
+
+
+class Dazed(Truth):
+    """The truth, but for two moments in which it is 0.8 m off."""
+
+    def update(self, belief, command, measurement):
+        belief = super().update(belief, command, measurement)
+        if 1.0 < belief.time[0] < 1.045:
+            belief = replace(belief, position=belief.position + np.array([0.0, 0.0, 0.8]))
+        return belief
+
+
+def test_beliefs_without_a_twist_are_refused_or_handed_over():
+    robot = ct.load_robot("carosac")
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    controller = ApproximateMpc.build(robot)
+    bare = Belief(time=np.zeros(1), position=rest.position, rotation=rest.rotation)
+    here = still(controller, robot.home_position)
+    controller.reset(bare)
+    with pytest.raises(InvalidField, match=r"belief.twist"):
+        controller.command(bare, here)
+    whole = replace(bare, twist=np.zeros((1, 6)))
+    controller.reset(whole)
+    controller.command(whole, here)
+    later = replace(bare, time=np.array([controller.period]))
+    controller.command(later, still(controller, robot.home_position, 1))
+    assert controller.fallbacks == {"no believed twist": 1}
+
+
+def test_a_start_out_of_reach_is_refused():
+    robot = ct.load_robot("carosac")
+    controller = ApproximateMpc.build(robot)
+    far = Belief(time=np.zeros(1), position=np.array([[50.0, 0, 0]]), rotation=np.eye(3)[None])
+    with pytest.raises(NoStart, match="approximate_mpc: position"):
+        controller.reset(far)
 
 
 def test_it_is_refused_for_robots_that_it_does_not_know():

@@ -40,7 +40,7 @@ def test_a_believed_state_is_moved_onto_lengths_and_rates(robot, swaying):
     motion, state, rotation, geometry = swaying
     rng = np.random.default_rng(4)
     length, rate = geometry.length + 0.02 * rng.normal(size=robot.n), rng.normal(size=robot.n)
-    moved, turned = motion.onto(state, length, rate)
+    moved, turned = motion.project(state, length, rate)
     assert turned == pytest.approx(model.rotation_of(moved[3:6]) @ rotation, abs=1e-12)
     there = geometry_at(robot, moved[:3], turned)
     assert there.length == pytest.approx(length, abs=2e-6)  # from 2 cm
@@ -51,19 +51,19 @@ def test_that_move_costs_the_least_energy(robot, swaying):
     motion, state, rotation, geometry = swaying
     small = 1e-6 * np.arange(1.0, robot.n + 1.0)
     rate = geometry.jacobian @ state[6:]
-    moved, _ = motion.onto(state, geometry.length + small, rate)
+    moved, _ = motion.project(state, geometry.length + small, rate)
     mass = mass_matrix(robot, rotation[None], geometry.free[None])[0]
     step = constrained_motion(mass, geometry.jacobian) @ small
     assert moved[:3] - state[:3] == pytest.approx(step[:3], rel=1e-3, abs=1e-10)
     assert 4.0 * moved[3:6] == pytest.approx(step[3:], rel=1e-3, abs=1e-10)
 
 
-def test_what_a_twist_has_gained_moves_no_cable(robot, swaying):
+def test_what_a_twist_has_innovation_moves_no_cable(robot, swaying):
     motion, state, _, geometry = swaying
-    lengths, gained = motion.look(state, state[6:] - np.array([0.1, 0.2, 0.3, 0.0, -0.1, 0.1]))
+    lengths, innovation = motion.look(state, state[6:] - np.array([0.1, 0.2, 0.3, 0.0, -0.1, 0.1]))
     assert lengths == pytest.approx(geometry.free, abs=1e-12)
-    assert geometry.jacobian @ gained == pytest.approx(np.zeros(robot.n), abs=1e-12)
-    assert np.abs(gained).max() > 1e-3
+    assert geometry.jacobian @ innovation == pytest.approx(np.zeros(robot.n), abs=1e-12)
+    assert np.abs(innovation).max() > 1e-3
 
 
 def test_a_stage_is_that_of_the_plan(robot, swaying):
