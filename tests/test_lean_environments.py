@@ -20,6 +20,7 @@ KINDS = ("controllers", "estimators", "drivers", "links", "figures")
 ARGUMENTS = {
     "calibrate.lengths": ["synthetic"],
     "calibrate.tachymeter": ["shots.gsi", "--robot", "carosac", "--targets", "targets.yaml"],
+    "distill": ["--robot", "carosac"],
     "evaluate": ["carosac-residual"],
     "smooth": ["synthetic"],
     "train": ["--robot", "carosac"],
@@ -276,7 +277,8 @@ def test_an_unknown_name_lists_what_an_extra_would_add(carosac):
     assert done.returncode == 2
     expected = (
         "allowed: one of ['input_shaping', 'kinematic_solver', 'straight_line'], with "
-        "carosac-toolkit[control] also ['mpc', 'td3'], or 'module:Class'; did you mean 'mpc'?"
+        "carosac-toolkit[control] also ['approximate_mpc', 'mpc', 'td3'], or 'module:Class'; did "
+        "you mean 'mpc'?"
     )
     assert expected in done.stderr
 

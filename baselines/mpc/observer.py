@@ -179,13 +179,9 @@ class Observer:
         """Return the believed twist; without one, the prediction corrected by the pose."""
         if belief.twist is not None:
             return np.asarray(belief.twist[0])
-        before = self._predicted
-        if before is None:
+        if self._predicted is None:
             return np.zeros(6)
-        turn = Rotation.from_matrix(belief.rotation[0] @ before.rotation.T).as_rotvec()
-        difference = np.concatenate([belief.position[0] - before.position, turn])
-        share = TWIST_GAIN / self._settings.period
-        return np.asarray(before.twist + share * difference)
+        return twist_by_pose(belief, self._predicted, self._settings.period)
 
     def _learn(self, belief: Belief, twist: Array, geometry: Geometry, rotation: Array) -> None:
         """Take in what the twist gained in the free directions; six cables leave none."""
@@ -197,6 +193,13 @@ class Observer:
         free = np.eye(6) - constrained_motion(mass, geometry.jacobian) @ geometry.jacobian
         gained = free @ (twist - self._predicted.twist)
         self.load.learn(gained, free, mass, self._planned, turning=belief.twist is not None)
+
+
+def twist_by_pose(belief: Belief, predicted: PlanStart, period: float) -> Array:
+    """Return a predicted twist (6,), corrected by what the believed pose differs by."""
+    turn = Rotation.from_matrix(belief.rotation[0] @ predicted.rotation.T).as_rotvec()
+    difference = np.concatenate([belief.position[0] - predicted.position, turn])
+    return np.asarray(predicted.twist + TWIST_GAIN / period * difference)
 
 
 def _sound(geometry: Geometry) -> bool:

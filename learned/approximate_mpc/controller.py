@@ -23,7 +23,7 @@ from baselines.mpc import model
 from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.geometry import Geometry, first_excess, geometry_at, start_geometry
 from baselines.mpc.length_offsets import OFFSET_TIME, LengthOffsets
-from baselines.mpc.observer import BELIEF_GATE
+from baselines.mpc.observer import BELIEF_GATE, PlanStart, twist_by_pose
 from baselines.mpc.plan_times import settings_for
 from baselines.mpc.planner import PlanTarget
 from baselines.mpc.settings import MpcSettings
@@ -44,7 +44,7 @@ from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
-APART, NO_TWIST = "lengths apart from the belief", "no believed twist"
+APART = "lengths apart from the belief"
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
 CABLES_MAX = 5  # more leave no sway, and hold the attitude, which is no input
@@ -107,10 +107,10 @@ class PlanFollower:
         self._targets = TargetReader(robot, self.grid, self.settings.distribution)
         self._usual_place: Array | None = None
         self._usual_tension: Array = np.zeros(robot.n)
-        self._seen_turning = False
-        self._predicted: Array | None = None
+        self._after: tuple[Array, Array] | None = None  # predicted state, and its R_0
         self._acceleration: Array = np.zeros(6)
         self._state: Array = np.zeros(model.STATE_SIZE)
+        self._base: Array = np.eye(3)
         self._middle = 0.5 * (robot.workspace_max + robot.workspace_min)
         self._reach = (0.5 + 0.5 * BOX_EXCESS_MAX) * (robot.workspace_max - robot.workspace_min)
         self._turns = bool((robot.pulley_radius > 0.0).any())
@@ -135,15 +135,10 @@ class PlanFollower:
         self._center = self.robot.center_of_mass
         self._free = geometry.free
         self._place(geometry)
-        self._seen_turning = belief.twist is not None
         self._forget()
 
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
-        """Return what the next plan depends on, and why there must be none, or nothing.
-
-        Raises:
-            InvalidField: Beliefs never had a twist.
-        """
+        """Return what the next plan depends on, and why there must be none, or nothing."""
         position, rotation, twist = belief.position[0], belief.rotation[0], self._twist(belief)
         ridden = np.abs(self._free - self._geometry.free).max()
         if self._turns or ridden > RIDING_SHARE * self._geometry.free.max():
@@ -157,12 +152,13 @@ class PlanFollower:
         parameters[self._blocks["disturbance"]] = self._acceleration
         state = self._state
         state[:3], state[3:6], state[6:] = position, 0.0, twist
-        predicted = twist if self._predicted is None else self._predicted
+        self._base = rotation
+        predicted = twist if self._after is None else self._after[0][6:]
         self._free, innovation = self._motion.look(state, predicted)
         missing = self._winches.length - self._excess.value - self._wrapped - self._free
         distance = float(np.abs(missing - self._offsets.kept).max())
         target = self._target(reference, position, rotation, float(belief.time[0]))
-        reason = self._reason(belief, distance, target.position[0])
+        reason = self._reason(distance, target.position[0], position)
         if not reason:
             self._offsets.learn(missing)
             if not self._offsets.slack.any():
@@ -203,7 +199,7 @@ class PlanFollower:
             self._state, tension, self.period, allowed.low, allowed.high
         )
         self._excess.approach(excess)
-        self._predicted = after[6:]
+        self._after = after, self._base
         share = self.habit_share
         self._usual_tension = self._usual_tension + share * (tension - self._usual_tension)
         assert self._usual_place is not None
@@ -232,19 +228,25 @@ class PlanFollower:
 
     def _forget(self) -> None:
         """Drop the prediction, and what was learned of the load, which may be wrong."""
-        self._predicted = None
+        self._after = None
         self._acceleration = np.zeros(6)
         self._usual_place = None
 
     def _twist(self, belief: Belief) -> Array:
-        """Return the believed twist, or the predicted one while an estimator has none."""
+        """Return the believed twist; without one, the prediction corrected by the pose."""
         if belief.twist is not None:
-            self._seen_turning = True
             return np.asarray(belief.twist[0])
-        if not self._seen_turning:
-            allowed = "that of an estimator that gives velocities, such as dynamic_estimator"
-            raise InvalidField("belief.twist", None, allowed)
-        return np.zeros(6) if self._predicted is None else self._predicted
+        if self._after is None:
+            return np.zeros(6)
+        state, base = self._after
+        before = PlanStart(
+            position=state[:3],
+            rotation=model.rotation_of(state[3:6]) @ base,
+            twist=state[6:],
+            geometry=self._geometry,
+            distance=0.0,
+        )
+        return twist_by_pose(belief, before, self.period)
 
     def _place(self, geometry: Geometry) -> None:
         """Bring the parameters of the model up to date."""
@@ -279,15 +281,13 @@ class PlanFollower:
         )
         return self._soft_start.faded(target, position, rotation, time=now)
 
-    def _reason(self, belief: Belief, distance: float, target: Array) -> str:
+    def _reason(self, distance: float, target: Array, position: Array) -> str:
         """Return why nothing must be planned from here, or nothing."""
-        if belief.twist is None:
-            return NO_TWIST
         if not distance <= self._gate:
             return APART
         if not (np.abs(target - self._middle) <= self._reach).all():
             return OUTSIDE
-        away = belief.position[0] - target
+        away = position - target
         return "" if away @ away <= self._chase**2 else FAR
 
     def _learn(self, innovation: Array, *, told: bool) -> None:
@@ -312,8 +312,8 @@ def check_cables(robot: Robot) -> None:
 class ApproximateMpc:
     """What `Mpc` would do, as a network has learned it.
 
-    Outside the box, far from the reference, where the belief and the lengths sent do not agree, or
-    where it lost its twist, input shaping commands, and `fallbacks` counts it.
+    Outside the box, far from the reference, or where the belief and the lengths sent do not agree,
+    input shaping commands, and `fallbacks` counts it.
 
     Attributes:
         period: Time between two commands [s].
@@ -384,8 +384,7 @@ class ApproximateMpc:
         """Return the lengths for the next period.
 
         Raises:
-            InvalidField: No reset before, beliefs without a twist, or a reference that ends before
-                the horizon.
+            InvalidField: No reset before, or a reference that ends before the horizon.
         """
         if not self._ready:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")

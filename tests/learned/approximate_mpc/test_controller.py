@@ -123,28 +123,32 @@ def test_commands_keep_the_limits_of_the_winches_where_control_changes_hands(spe
 class Dazed(Truth):
     """The truth, but for two moments in which it is 0.8 m off."""
 
-    def update(self, belief, command, measurement):
-        belief = super().update(belief, command, measurement)
+    def reset(self, measurement):
+        belief = super().reset(measurement)
         if 1.0 < belief.time[0] < 1.045:
             belief = replace(belief, position=belief.position + np.array([0.0, 0.0, 0.8]))
         return belief
 
 
-def test_beliefs_without_a_twist_are_refused_or_handed_over():
+def test_beliefs_without_a_twist_are_enough():
+    """Poses alone tell the velocity, if later."""
     robot = ct.load_robot("carosac")
-    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    path = move_of(robot)
     controller = ApproximateMpc.build(robot)
-    bare = Belief(time=np.zeros(1), position=rest.position, rotation=rest.rotation)
-    here = still(controller, robot.home_position)
-    controller.reset(bare)
-    with pytest.raises(InvalidField, match=r"belief.twist"):
-        controller.command(bare, here)
-    whole = replace(bare, twist=np.zeros((1, 6)))
-    controller.reset(whole)
-    controller.command(whole, here)
-    later = replace(bare, time=np.array([controller.period]))
-    controller.command(later, still(controller, robot.home_position, 1))
-    assert controller.fallbacks == {"no believed twist": 1}
+    start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
+    settings = SimDriverSettings(period=controller.period, start_position=start)
+    driver = SimDriver.build(robot, settings)
+    log = run(driver, Posed(driver), controller, path, duration=path.duration + 1.0)
+    away = np.linalg.norm(log.position - log.reference, axis=2)
+    assert not controller.fallbacks
+    assert np.sqrt((away**2).mean()) < 0.05
+
+
+class Posed(Truth):
+    """The true pose."""
+
+    def reset(self, measurement):
+        return replace(super().reset(measurement), twist=None)
 
 
 def test_a_start_out_of_reach_is_refused():
