@@ -27,6 +27,7 @@ EARLY_FILES = (
     ("settings.json", "td3", "train"),
     ("*/settings.json", "td3", "train"),
     ("*/*/settings.json", "td3", "train"),
+    ("settings.json", '"demonstrations"', "distill"),
 )
 MAY_JOIN = {"figures": "compare"}  # commands whose files lie beside those of another
 NAMES_SHOWN = 3

@@ -122,17 +122,17 @@ class PlanNetwork:
         """
         trained = self.description.robot
         if trained.n != robot.n:
-            allowed = f"{trained.n}, as the robot of the network: train one with `carosac distill`"
+            other = "`carosac distill`" if robot.n < 6 else "use mpc"
+            allowed = f"{trained.n}, as the robot of the network: {other}"
             raise InvalidField("robot", f"{robot.n} cables", allowed)
         needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS
         names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
         if names:
-            allowed = (
-                f"{trained.name!r}, which the network was trained for; {', '.join(names)} differ"
-            )
             raise InvalidField(
-                "robot", repr(robot.name), f"{allowed}: train one with `carosac distill`"
-            )
+                "robot", f"{robot.name!r} with other values of {', '.join(names)}",
+                f"{trained.name!r} as the network was trained for it; or train one with "
+                "`carosac distill`",
+            )  # fmt: skip
 
     def _check_sizes(self, path: str | Path) -> None:
         """Refuse a network that does not fit, or gives no numbers."""
@@ -183,9 +183,12 @@ def bundled_network(robot: Robot) -> str:
         InvalidField: There is none.
     """
     if robot.name not in BUNDLED:
-        allowed = (
-            f"a robot with a bundled network, of {sorted(BUNDLED)}, or a network of its own: "
-            "`carosac distill`"
+        allowed = f"a robot with a bundled network, of {sorted(BUNDLED)}"
+        allowed += (
+            ", or a network of its own: `carosac distill`, then --set "
+            "controller.approximate_mpc.policy=FILE"
+            if robot.n < 6
+            else ": use mpc, as robots of six or more cables do not sway"
         )
         raise InvalidField("robot", repr(robot.name), allowed)
     return BUNDLED[robot.name]

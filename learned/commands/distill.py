@@ -1,11 +1,13 @@
 """Train a network that does what MPC would do, in a fraction of its time.
 
 MPC drives simulated plants along random paths and says which tensions it plans; a network learns
-that. Then the network drives and MPC says what it would have done, for some rounds. After an
+that. In three more rounds the network drives and MPC says what it would have done. After an
 interruption the same command goes on where it was.
 
 The network runs on any driver as the controller approximate_mpc: carosac compare --controllers
 approximate_mpc --set controller.approximate_mpc.policy=FILE
+
+Exit status 1 means that the network lost most drives of the last round.
 """
 
 from __future__ import annotations
@@ -15,12 +17,20 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.tables import format_table, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, DefaultRobotOptions, OutputFolder
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
-from learned.approximate_mpc.training import TABLE_FILE, DistillationSettings, distill
+from learned.approximate_mpc.controller import check_cables
+from learned.approximate_mpc.training import (
+    HELD_OUT_EVERY,
+    TABLE_FILE,
+    DistillationSettings,
+    distill,
+)
 from learned.commands.status_line import StatusLine
 
 RESULTS_FOLDER = Path("carosac-results") / "distill"
@@ -31,8 +41,8 @@ class Options(DefaultRobotOptions):
     """Options of ``carosac distill``."""
 
     drives: int | None = None
-    """Drives of each round: fewer for a first look. By default 80 to 120, a quarter of an hour on
-    two cores."""
+    """Drives of each of the four rounds: fewer for a first look. By default 80 to 120, about half
+    an hour on two cores."""
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth
     of them."""
@@ -40,7 +50,7 @@ class Options(DefaultRobotOptions):
     """Processes that drive; by default one per core."""
     output: OutputFolder = None
     """Folder for all results; by default one in carosac-results/distill. An interrupted training
-    there goes on."""
+    there goes on; another one is refused."""
 
 
 def run(options: Options) -> CommandResult:
@@ -57,6 +67,7 @@ def run(options: Options) -> CommandResult:
     if options.updates is not None:
         early = max(1, options.updates // 5)
         settings = replace(settings, updates=(early,) * (rounds - 1) + (options.updates,))
+    check_cables(robot)
     folder = options.output or RESULTS_FOLDER / f"{robot.name}-seed{options.seed}"
     check_folder("--output", folder)
     line = (
@@ -83,12 +94,32 @@ def run(options: Options) -> CommandResult:
     cells = [
         [
             *(f"{row[name]:.0f}" for name in ("round", "drives", "samples", "lost")),
-            f"{1e3 * row['drive_error_m']:.1f}",
-            f"{row['trained_error_N']:.2f}",
-            f"{row['held_out_error_N']:.2f}",
+            _number(1e3 * row["drive_error_m"], 1),
+            _number(row["trained_error_N"], 2),
+            _number(row["held_out_error_N"], 2),
         ]
         for row in rows
     ]
     print(format_table(header, cells))
     print(f"network: {path}")
-    return CommandResult({"robot": robot.name, "folder": folder, "network": path, "rounds": rows})
+    lost = rows[-1]["lost"] > 0.5 * settings.drives[-1]
+    held = sum(settings.drives) >= HELD_OUT_EVERY
+    lines = [
+        "tracking: median RMS error of the round's drives; off: what the network's tensions differ "
+        "by from those of MPC" + ("" if held else "; too few drives to hold one out"),
+        *(
+            ["the network lost most drives of the last round: train it longer, on more drives"]
+            if lost
+            else []
+        ),
+        f"to use it: carosac compare --robot {options.robot} --controllers mpc approximate_mpc "
+        f"--set controller.approximate_mpc.policy={path}",
+    ]
+    print("\n".join(wrapped(line, terminal_width()) for line in lines))
+    told = [{k: None if np.isnan(v) else v for k, v in row.items()} for row in rows]
+    data = {"robot": robot.name, "folder": folder, "network": path, "rounds": told}
+    return CommandResult(data, status=1 if lost else 0)
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if np.isnan(value) else f"{value:.{digits}f}"
