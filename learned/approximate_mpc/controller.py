@@ -44,9 +44,6 @@ from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
-# Of the way to new tensions, in a command. Beliefs tremble as cables vibrate (7 to 13 Hz); what
-# trembles less is sent back less. With 0.25 robots swing up, without it cables go slack.
-TENSION_SHARE = 0.6
 APART = "lengths apart from the belief"
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
@@ -73,8 +70,14 @@ class PlanFollower:
         horizon: How far ahead the reference must reach [s].
     """
 
-    def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+    def __init__(self, robot: Robot, settings: MpcSettings, *, tension_share: float = 1.0) -> None:
         """Prepare for a robot of three to five cables.
+
+        Args:
+            robot: The nominal robot.
+            settings: Of MPC.
+            tension_share: Of the way to new tensions, in a command. Beliefs tremble as cables
+                vibrate; what trembles less is sent back less, and later.
 
         Raises:
             InvalidField: It has more or less.
@@ -110,6 +113,7 @@ class PlanFollower:
         self._targets = TargetReader(robot, self.grid, self.settings.distribution)
         self._usual_place: Array | None = None
         self._usual_tension: Array = np.zeros(robot.n)
+        self._tension_share = tension_share
         self._pull: Array | None = None  # tensions of the last command
         self._after: tuple[Array, Array] | None = None  # predicted state, and its R_0
         self._acceleration: Array = np.zeros(6)
@@ -199,7 +203,7 @@ class PlanFollower:
         """
         tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
         if self._pull is not None:
-            tension = self._pull + TENSION_SHARE * (tension - self._pull)
+            tension = self._pull + self._tension_share * (tension - self._pull)
         self._pull = tension
         allowed = self._winches.acceleration_range()
         after, free, rate, tension = self._motion.advance(
@@ -337,7 +341,7 @@ class ApproximateMpc:
         """
         network.check(robot)
         self._network = network
-        self._follower = PlanFollower(robot, network.settings)
+        self._follower = PlanFollower(robot, network.settings, tension_share=network.tension_share)
         self._numbers = PlanNumbers(robot)
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)

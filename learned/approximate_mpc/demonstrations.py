@@ -223,7 +223,8 @@ class _Asking:
         network: PlanNetwork | None,
     ) -> None:
         self._robot, self._settings, self._rng, self._network = robot, settings, rng, network
-        self._follower = PlanFollower(robot, mpc)
+        share = 1.0 if network is None else network.tension_share
+        self._follower = PlanFollower(robot, mpc, tension_share=share)
         self._loaded, self._numbers_of = robot, PlanNumbers(robot)
         chosen, weight_time = settings_for(robot, mpc)
         self._planner = Planner(robot, chosen, weight_time=weight_time)

@@ -60,17 +60,30 @@ class PlanDescription:
     scores: dict[str, float]
 
 
+def check_share(name: str, value: float) -> None:
+    """Refuse what is no share of a way.
+
+    Raises:
+        InvalidField: It is one.
+    """
+    if not (isinstance(value, int | float) and 0.0 < value <= 1.0):
+        raise InvalidField(name, repr(value), "0 < share <= 1")
+
+
 class PlanNetwork:
     """First tensions of a plan, and sag less stretch that belong to them.
 
     Attributes:
         description: What it was trained for.
         settings: Of MPC, for `PlanFollower`.
+        tension_share: The same.
     """
 
     def __init__(self, session: Any, description: PlanDescription) -> None:
         self.description = description
         self.settings = MpcSettings(**description.mpc)
+        self.tension_share = description.training["tension_share"]
+        check_share("tension_share", self.tension_share)
         self._session = session
         robot = description.robot
         self._n = robot.n

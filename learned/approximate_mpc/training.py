@@ -40,6 +40,7 @@ from learned.approximate_mpc.demonstrations import (
 from learned.approximate_mpc.plan_network import (
     PlanDescription,
     PlanNetwork,
+    check_share,
     settings_record,
     write_plan_network,
 )
@@ -65,6 +66,7 @@ class DistillationSettings:
         batch: Samples of an update.
         hidden: Sizes of the hidden layers.
         rate: Learning rate at the start of a round; it falls to 0 by a cosine.
+        tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
     drives: tuple[int, ...] = (80, 100, 100, 120)
@@ -72,6 +74,7 @@ class DistillationSettings:
     batch: int = 512
     hidden: tuple[int, ...] = (256, 256)
     rate: float = 1e-3
+    tension_share: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -84,6 +87,7 @@ class DistillationSettings:
         check_whole("batch", self.batch, 1)
         if not 0.0 < self.rate < 1.0:
             raise InvalidField("rate", self.rate, "0 < rate < 1")
+        check_share("tension_share", self.tension_share)
 
 
 def distill(
@@ -149,7 +153,10 @@ def distill(
                 PlanDescription(
                     robot=robot, mpc=settings_record(teacher), excess_scale=fit.excess_scale,
                     seed=seed, commit=commit_of_code() or "",
-                    training={"drives": float(len(parts)), "samples": fit.scores["samples"]},
+                    training={
+                        "drives": float(len(parts)), "samples": fit.scores["samples"],
+                        "tension_share": chosen.tension_share,
+                    },
                     scores=scores,
                 ),
             )  # fmt: skip

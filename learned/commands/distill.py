@@ -25,6 +25,7 @@ from carosac_toolkit.cli.common import CommandResult, DefaultRobotOptions, Outpu
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from learned.approximate_mpc.controller import check_cables
+from learned.approximate_mpc.plan_network import check_share
 from learned.approximate_mpc.training import (
     HELD_OUT_EVERY,
     TABLE_FILE,
@@ -46,6 +47,9 @@ class Options(DefaultRobotOptions):
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth
     of them."""
+    tension_share: float | None = None
+    """Share of the way to new tensions that is gone in a command, by default 1. Where cables are
+    stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up."""
     workers: int | None = None
     """Processes that drive; by default one per core."""
     output: OutputFolder = None
@@ -68,6 +72,9 @@ def run(options: Options) -> CommandResult:
         early = max(1, options.updates // 5)
         settings = replace(settings, updates=(early,) * (rounds - 1) + (options.updates,))
     check_cables(robot)
+    if options.tension_share is not None:
+        check_share("--tension-share", options.tension_share)
+        settings = replace(settings, tension_share=options.tension_share)
     folder = options.output or RESULTS_FOLDER / f"{robot.name}-seed{options.seed}"
     check_folder("--output", folder)
     line = (
