@@ -38,6 +38,7 @@ SERIES_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 SERIES_HATCHES = ("", "/////", ".....", "xxxxx", "\\\\\\\\\\", "|||||", "-----", "+++++")
 CONTROLLER_NUMBERS = {
     "mpc": 0, "kinematic_solver": 1, "td3": 2, "input_shaping": 3, "straight_line": 4,
+    "approximate_mpc": 5,
 }  # fmt: skip
 MODEL_NUMBERS = {  # of estimators and of models that are compared with recordings
     "simulator": 0, "kinematic_solver": 1, "dynamic_estimator": 2, "ks_ekf": 3, "straight_line": 4,
