@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, did_you_mean
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
+from learned.bundled_files import find_bundled, list_bundled
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
 from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
-from learned.reference_rows import ReferenceRows
+from learned.reference_rows import ReferenceRows, require_rows
 from learned.settings_data import environment_settings
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
-POLICY_SUFFIX = ".onnx"
+POLICY_FOLDER = "policies"
 BOX_EXCESS_MAX = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FIELDS = (
@@ -152,10 +152,7 @@ class PolicyController:
                 the horizon.
             UnreachableReference: A target lies outside the box, where the robot cannot rest.
         """
-        rows = round(self.horizon / self.period) + 1
-        if reference.time.shape[1] < rows:
-            allowed = f"at least {rows}, those of the horizon of {self.horizon:g} s"
-            raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
+        require_rows(reference, self.horizon, self.period)
         look = self._look(belief, reference)
         reasons = untrained_rows(look, self._scales, self._environment.lost)
         self._fallback.decide(reasons, belief)
@@ -226,11 +223,22 @@ def check_robot(robot: Robot, policy: Policy) -> None:
     if trained.n != robot.n:
         raise InvalidField("robot", f"{robot.n} cables", f"{trained.n}, as the policy's robot")
     moving = policy.description.period is not None
-    needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS if moving else TRAINED_FIELDS
-    names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
+    names = differing_fields(trained, robot, moving=moving)
     if names:
         allowed = f"{trained.name!r}, which the policy was trained for; {', '.join(names)} differ"
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
+
+
+def differing_fields(trained: Robot, robot: Robot, *, moving: bool) -> list[str]:
+    """Return the names of the fields in which robots differ that a network depends on.
+
+    Args:
+        trained: The robot that it was trained for.
+        robot: Another one.
+        moving: Whether it was trained in real time, and depends on what makes motion, too.
+    """
+    needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS if moving else TRAINED_FIELDS
+    return [name for name in needed if not same(getattr(trained, name), getattr(robot, name))]
 
 
 def untrained_rows(
@@ -256,7 +264,7 @@ def untrained_rows(
 
 def list_policies() -> tuple[str, ...]:
     """Return the names of the policies that come with the toolkit, sorted."""
-    return tuple(sorted(entry.stem for entry in _folder().glob(f"*{POLICY_SUFFIX}")))
+    return list_bundled(POLICY_FOLDER)
 
 
 def policy_of(robot: Robot) -> str:
@@ -274,24 +282,5 @@ def policy_of(robot: Robot) -> str:
 
 
 def find_policy(name_or_path: str) -> Path:
-    """Find the file of a policy.
-
-    Args:
-        name_or_path: A bundled name, or a path.
-
-    Raises:
-        InvalidField: There is none of that name.
-    """
-    names = list_policies()
-    if name_or_path in names:
-        return _folder() / f"{name_or_path}{POLICY_SUFFIX}"
-    path = Path(name_or_path)
-    if path.suffix != POLICY_SUFFIX and not path.exists():
-        allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
-        raise InvalidField("policy", repr(name_or_path), allowed)
-    return path
-
-
-def _folder() -> Path:
-    """Return the folder of the bundled policies."""
-    return Path(str(files("learned") / "policies"))
+    """Find the file of a policy, a bundled one by its name; see `find_bundled`."""
+    return find_bundled(name_or_path, POLICY_FOLDER)

@@ -130,7 +130,12 @@ class Policy:
                 "observation": {one.name: one.shape for one in session.get_inputs()},
                 "action": {one.name: one.shape for one in session.get_outputs()},
             }
-            description = _description(path, session.get_modelmeta().custom_metadata_map)
+            record = read_record(
+                path, session.get_modelmeta().custom_metadata_map, POLICY_SCHEMA,
+                [f.name for f in fields(PolicyDescription)],
+                wanted=POLICY_FILE_NAME, command="carosac train",
+            )  # fmt: skip
+            description = PolicyDescription(**record)
             settings = environment_settings(description.settings)
             check_probe(description.probe, description.robot, settings)
         except MALFORMED as error:
@@ -334,22 +339,41 @@ def open_network(path: str | Path, name: str) -> Any:
         raise InvalidField("path", path, f"{name}; this is no ONNX file") from error
 
 
-def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
-    """Read the description in the metadata of a file."""
-    schema = metadata.get(METADATA_PREFIX + "schema")
-    if schema != POLICY_SCHEMA:
-        got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
-        raise InvalidField("path", got, f"{POLICY_FILE_NAME}, schema {POLICY_SCHEMA}")
-    names = [f.name for f in fields(PolicyDescription)]
+def read_record(
+    path: str | Path,
+    metadata: Mapping[str, str],
+    schema: str,
+    names: Sequence[str],
+    *,
+    wanted: str,
+    command: str,
+) -> dict[str, Any]:
+    """Read what `described_network` wrote, the robot as one.
+
+    Args:
+        path: Of the file.
+        metadata: Of the network.
+        schema: It must have.
+        names: Of what must be there.
+        wanted: What the file should be, in words.
+        command: That writes such files.
+
+    Raises:
+        InvalidField: Another schema, or something is missing or damaged.
+    """
+    found = metadata.get(METADATA_PREFIX + "schema")
+    if found != schema:
+        got = f"{path} with schema {found}" if found else f"{path} without our metadata"
+        raise InvalidField("path", got, f"{wanted}, schema {schema}")
     missing = [name for name in names if METADATA_PREFIX + name not in metadata]
     if missing:
-        allowed = f"{POLICY_FILE_NAME} of this version: train it again with `carosac train`"
+        allowed = f"{wanted} of this version: train it again with `{command}`"
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
         record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except (ValueError, RecursionError) as error:
-        raise InvalidField("path", f"{path} with damaged metadata", POLICY_FILE_NAME) from error
-    return PolicyDescription(**record | {"robot": robot_of(path, record["robot"])})
+        raise InvalidField("path", f"{path} with damaged metadata", wanted) from error
+    return record | {"robot": robot_of(path, record["robot"])}
 
 
 def robot_of(path: str | Path, record: Any) -> Robot:

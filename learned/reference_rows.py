@@ -9,8 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Reference
 
 ROW_TOLERANCE = 1e-9  # [rows] that are none
+
+
+def require_rows(reference: Reference, horizon: float, period: float) -> None:
+    """Refuse a reference that ends before a horizon [s], with a row for each period [s].
+
+    Raises:
+        InvalidField: It does.
+    """
+    rows = round(horizon / period) + 1
+    if reference.time.shape[1] < rows:
+        allowed = f"at least {rows}, those of the horizon of {horizon:g} s"
+        raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -41,6 +41,13 @@ def parameter_names(n: int) -> dict[str, int]:
     }  # fmt: skip
 
 
+def parameter_rows(n: int) -> dict[str, slice]:
+    """Return where each block of the parameter vector is."""
+    sizes = parameter_names(n)
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    return {name: slice(a, b) for name, a, b in zip(sizes, edges[:-1], edges[1:], strict=True)}
+
+
 def parameters(
     robot: Robot, *, rotation: Array, length: Array, exits: Array, disturbance: Array
 ) -> Array:
@@ -104,9 +111,8 @@ def continuous(n: int) -> Any:
     import casadi as ca
 
     x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", n)
-    sizes = parameter_names(n)
-    p = ca.SX.sym("p", sum(sizes.values()))
-    block = dict(zip(sizes, ca.vertsplit(p, np.cumsum([0, *sizes.values()]).tolist()), strict=True))
+    p = ca.SX.sym("p", sum(parameter_names(n).values()))
+    block = {name: p[rows] for name, rows in parameter_rows(n).items()}
     rate, arms, forces = _motion(ca, x, u, block, n)
     path = _path(ca, x, rate, arms, block, n)
     outputs = [rate, path]
@@ -119,10 +125,8 @@ def continuous(n: int) -> Any:
 def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any], Any]:
     """Return Newton-Euler rates, arms of the anchor points, and the wrench at the origin."""
     position, s, v, w = ca.vertsplit(x, 3)
-    cross = ca.skew(s)
     square = ca.dot(s, s)
-    turn = 8 * cross @ cross + 4 * (1 - square) * cross
-    rotation = (ca.SX.eye(3) + turn / (1 + square) ** 2) @ ca.reshape(block["rotation"], 3, 3)
+    rotation = rotation_expression(ca, s, block["rotation"])
     up = ca.DM([0, 0, 1])
     center, hang = rotation @ block["center"], rotation @ block["hang"]
     force = -block["weight"] * up - block["drag"] * (v + ca.cross(w, hang))
@@ -144,6 +148,13 @@ def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any]
     linear = force / block["mass"] - inward + block["disturbance"][:3]
     kinematics = (1 - square) * w - 2 * ca.cross(s, w) + 2 * s * ca.dot(s, w)
     return ca.vertcat(v, kinematics / 4, linear, alpha), arms, ca.vertcat(force, moment)
+
+
+def rotation_expression(ca: Any, s: Any, base: Any) -> Any:
+    """Return R(s) R_0, where R_0 is given column by column (9), as an expression of CasADi."""
+    cross, square = ca.skew(s), ca.dot(s, s)
+    turn = 8 * cross @ cross + 4 * (1 - square) * cross
+    return (ca.SX.eye(3) + turn / (1 + square) ** 2) @ ca.reshape(base, 3, 3)
 
 
 def _path(ca: Any, x: Any, rate: Any, arms: list[Any], block: Any, n: int) -> Any:

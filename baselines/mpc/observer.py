@@ -181,7 +181,10 @@ class Observer:
             return np.asarray(belief.twist[0])
         if self._predicted is None:
             return np.zeros(6)
-        return twist_by_pose(belief, self._predicted, self._settings.period)
+        before = self._predicted
+        return twist_by_pose(
+            belief, before.position, before.rotation, before.twist, self._settings.period
+        )
 
     def _learn(self, belief: Belief, twist: Array, geometry: Geometry, rotation: Array) -> None:
         """Take in what the twist gained in the free directions; six cables leave none."""
@@ -195,11 +198,21 @@ class Observer:
         self.load.learn(gained, free, mass, self._planned, turning=belief.twist is not None)
 
 
-def twist_by_pose(belief: Belief, predicted: PlanStart, period: float) -> Array:
-    """Return a predicted twist (6,), corrected by what the believed pose differs by."""
-    turn = Rotation.from_matrix(belief.rotation[0] @ predicted.rotation.T).as_rotvec()
-    difference = np.concatenate([belief.position[0] - predicted.position, turn])
-    return np.asarray(predicted.twist + TWIST_GAIN / period * difference)
+def twist_by_pose(
+    belief: Belief, position: Array, rotation: Array, twist: Array, period: float
+) -> Array:
+    """Return a predicted twist (6,), corrected by what the believed pose differs by.
+
+    Args:
+        belief: Of one robot.
+        position: Predicted, in W [m], shape (3,).
+        rotation: The same from P to W, shape (3, 3).
+        twist: The same, shape (6,).
+        period: Between two commands [s].
+    """
+    turn = Rotation.from_matrix(belief.rotation[0] @ rotation.T).as_rotvec()
+    difference = np.concatenate([belief.position[0] - position, turn])
+    return np.asarray(twist + TWIST_GAIN / period * difference)
 
 
 def _sound(geometry: Geometry) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from baselines.mpc import model
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.settings import MpcSettings
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Ratios, Scaled, resolved
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
@@ -23,6 +24,17 @@ from carosac_toolkit.robot.robot import Robot
 STAGE_ANGLE_MAX_RAD = 1.5  # of the fastest motion in a stage: half of what is stable
 FASTEST = Scaled(11.3, "rad/s")  # motion for which weights are right by the size alone
 WEIGHTS = ("position_weight", "velocity_weight")  # that of spin damps sway, and stays
+
+
+def stage_durations(settings: MpcSettings) -> Array:
+    """Return how long the stages of a plan are [s], shape (N,), for settings in numbers."""
+    count = settings.stages - 1
+    return np.array([settings.period, *[(settings.lookahead - settings.period) / count] * count])
+
+
+def times_of(durations: Array) -> Array:
+    """Return the times of the states from now [s], shape (N + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(durations)])
 
 
 def settings_for(robot: Robot, settings: MpcSettings) -> tuple[MpcSettings, float]:

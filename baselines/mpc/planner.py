@@ -11,6 +11,7 @@ from baselines.mpc import model
 from baselines.mpc.length_offsets import OFFSET_TIME
 from baselines.mpc.observer import PlanStart
 from baselines.mpc.plan import Plan
+from baselines.mpc.plan_times import stage_durations, times_of
 from baselines.mpc.quadratic_program import NO_LIMIT, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
@@ -96,9 +97,8 @@ class Planner:
         self._length_scale = LENGTH_EXCESS_SCALE.of(ratios)
         self._habit_share = settings.period / OFFSET_TIME.of(ratios)
         self._robot, self._settings = robot, settings
-        rest = (settings.lookahead - settings.period) / (stages - 1)
-        self._duration = np.array([settings.period, *[rest] * (stages - 1)])
-        self.grid = np.concatenate([[0.0], np.cumsum(self._duration)])
+        self._duration = stage_durations(settings)
+        self.grid = times_of(self._duration)
         self.stage = StageFunction(n, stages, settings.compiled)
         self._program = QuadraticProgram(stages, model.STATE_SIZE, n, model.PATH_QUANTITIES * n)
         self._unit = 0.5 * robot.weight / min(n, 4)  # [N], scale of the tensions

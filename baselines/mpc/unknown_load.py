@@ -76,6 +76,12 @@ class PlannedMotion:
         )  # fmt: skip
 
 
+def equal_energy(robot: Robot) -> Array:
+    """Return accelerations (6,) [m/s^2, rad/s^2] that change the energy of a platform alike."""
+    gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
+    return np.repeat([1.0, 1.0 / gyration], 3)
+
+
 class UnknownLoad:
     """A Kalman filter of centre of mass and acceleration.
 
@@ -102,8 +108,7 @@ class UnknownLoad:
         self._center_walk = CENTER_WALK.of(ratios)
         self._center_step = CENTER_STEP_MIN.of(ratios)
         self._limit = DISTURBANCE_MAX.of(ratios)
-        gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
-        self._unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
+        self._unit = equal_energy(robot)
         self._follow = self._noise / disturbance_time * self._unit  # a walk that has that gain
         self.reset()
 

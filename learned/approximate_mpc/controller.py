@@ -23,13 +23,18 @@ from baselines.mpc import model
 from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.geometry import Geometry, first_excess, geometry_at, start_geometry
 from baselines.mpc.length_offsets import OFFSET_TIME, LengthOffsets
-from baselines.mpc.observer import BELIEF_GATE, PlanStart, twist_by_pose
-from baselines.mpc.plan_times import settings_for
+from baselines.mpc.observer import BELIEF_GATE, twist_by_pose
+from baselines.mpc.plan_times import settings_for, stage_durations, times_of
 from baselines.mpc.planner import PlanTarget
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.soft_start import SoftStart
 from baselines.mpc.target_reader import CHASE_DISTANCE_MAX, TargetReader
-from baselines.mpc.unknown_load import CENTER_STEP_MIN, DISTURBANCE_MAX, UNTOLD_TIME_RATIO
+from baselines.mpc.unknown_load import (
+    CENTER_STEP_MIN,
+    DISTURBANCE_MAX,
+    UNTOLD_TIME_RATIO,
+    equal_energy,
+)
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -41,7 +46,7 @@ from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers
 from learned.approximate_mpc.plan_network import PlanNetwork, bundled_network, find_network
 from learned.policy_controller import BOX_EXCESS_MAX
-from learned.reference_rows import ReferenceRows
+from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
@@ -80,7 +85,7 @@ class PlanFollower:
                 vibrate; what trembles less is sent back less, and later.
 
         Raises:
-            InvalidField: It has more or less.
+            InvalidField: It has fewer, or more.
         """
         require("approximate model predictive control", "casadi")
         check_cables(robot)
@@ -88,10 +93,7 @@ class PlanFollower:
         scales = Scales(robot)
         self.robot, self.ratios = robot, scales.ratios
         self.period = self.settings.period
-        stages = self.settings.stages
-        rest = (self.settings.lookahead - self.period) / (stages - 1)
-        durations = [self.period, *[rest] * (stages - 1)]
-        self.grid = np.concatenate([[0.0], np.cumsum(durations)])
+        self.grid = times_of(stage_durations(self.settings))
         self._rows = ReferenceRows.of(self.grid / self.period)
         self.horizon = self.period * float(self._rows.last_row)
         self._motion = FastMotion(robot.n)
@@ -101,15 +103,11 @@ class PlanFollower:
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
-        gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
-        unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
-        self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * unit
+        self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * equal_energy(robot)
         self._center_step = CENTER_STEP_MIN.of(self.ratios)
         self._gate = BELIEF_GATE.of(self.ratios)
         self._chase = CHASE_DISTANCE_MAX.of(self.ratios)
-        sizes = model.parameter_names(robot.n)
-        edges = dict(zip(sizes, np.cumsum([0, *sizes.values()]), strict=False))
-        self._blocks = {name: slice(edge, edge + sizes[name]) for name, edge in edges.items()}
+        self._blocks = model.parameter_rows(robot.n)
         self._targets = TargetReader(robot, self.grid, self.settings.distribution)
         self._usual_place: Array | None = None
         self._usual_tension: Array = np.zeros(robot.n)
@@ -250,14 +248,8 @@ class PlanFollower:
         if self._after is None:
             return np.zeros(6)
         state, base = self._after
-        before = PlanStart(
-            position=state[:3],
-            rotation=model.rotation_of(state[3:6]) @ base,
-            twist=state[6:],
-            geometry=self._geometry,
-            distance=0.0,
-        )
-        return twist_by_pose(belief, before, self.period)
+        rotation = model.rotation_of(state[3:6]) @ base
+        return twist_by_pose(belief, state[:3], rotation, state[6:], self.period)
 
     def _place(self, geometry: Geometry) -> None:
         """Bring the parameters of the model up to date."""
@@ -399,10 +391,7 @@ class ApproximateMpc:
         """
         if not self._ready:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
-        rows = round(self.horizon / self.period) + 1
-        if reference.time.shape[1] < rows:
-            allowed = f"at least {rows}, those of the horizon of {self.horizon:g} s"
-            raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
+        require_rows(reference, self.horizon, self.period)
         inputs, reason = self._follower.look(belief, reference)
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)

@@ -44,16 +44,14 @@ class FastMotion:
             moved = ca.vertcat(moved[:3] + step[:3], moved[3:6] + step[3:] / 4, moved[6:])
         _, jacobian, along = _cables(ca, motion, moved, p, n)
         moved = ca.vertcat(moved[:6], moved[6:] + along @ (rate - jacobian @ moved[6:]))
-        turned = ca.vec(_rotation(ca, moved[3:6], _blocks(ca, p, n)).T)  # row by row
+        base = p[model.parameter_rows(n)["rotation"]]
+        turned = ca.vec(model.rotation_expression(ca, moved[3:6], base).T)  # row by row
         project = ca.Function("project", [x, p, length, rate], [ca.densify(moved), turned], options)
         low, high = ca.SX.sym("low", n), ca.SX.sym("high", n)
         wanted = motion(x, u, p)[3][2 * n :]
         allowed = ca.fmin(ca.fmax(wanted, low), high)
         pull = u + ca.solve(ca.jacobian(wanted, u), allowed - wanted)
-        stages = [motion(x, pull, p)[0]]
-        for share in (0.5, 0.5, 1.0):
-            stages.append(motion(x + share * h * stages[-1], pull, p)[0])
-        after = x + h / 6 * (stages[0] + 2 * stages[1] + 2 * stages[2] + stages[3])
+        after = model.stage(n)(x, pull, p, h)[0]
         path = motion(after, pull, p)[3]
         advance = ca.Function(
             "advance", [x, u, p, h, low, high], [after, path[: 2 * n], pull], options
@@ -119,8 +117,8 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
     """
     path = motion(x, ca.SX.zeros(n), p)[3]
     jacobian = ca.jacobian(path[n : 2 * n], x[6:])
-    block = _blocks(ca, p, n)
-    rotation = _rotation(ca, x[3:6], block)
+    block = {name: p[rows] for name, rows in model.parameter_rows(n).items()}
+    rotation = model.rotation_expression(ca, x[3:6], block["rotation"])
     center = rotation @ block["center"]
     inverse = rotation @ ca.reshape(block["inverse_inertia"], 3, 3) @ rotation.T
     columns = []
@@ -130,20 +128,6 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
         columns.append(ca.vertcat(force / block["mass"] - ca.cross(spin, center), spin))
     pulled = ca.horzcat(*columns)
     return path[:n], jacobian, ca.solve(jacobian @ pulled, pulled.T).T
-
-
-def _blocks(ca: Any, p: Any, n: int) -> dict[str, Any]:
-    """Return the parameters of the model by name."""
-    sizes = model.parameter_names(n)
-    edges = np.cumsum([0, *sizes.values()]).tolist()
-    return dict(zip(sizes, ca.vertsplit(p, edges), strict=True))
-
-
-def _rotation(ca: Any, s: Any, block: dict[str, Any]) -> Any:
-    """Return the rotation from P to W of modified Rodrigues parameters about R_0."""
-    cross, square = ca.skew(s), ca.dot(s, s)
-    turn = ca.SX.eye(3) + (8 * cross @ cross + 4 * (1 - square) * cross) / (1 + square) ** 2
-    return turn @ ca.reshape(block["rotation"], 3, 3)
 
 
 class _Buffered:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +10,24 @@ import numpy as np
 
 from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile, did_you_mean
+from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
-from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.plan_inputs import input_count
-from learned.policy_controller import POLICY_SUFFIX, TRAINED_FIELDS, TRAINED_MOTION_FIELDS
+from learned.bundled_files import find_bundled, list_bundled
+from learned.policy_controller import differing_fields
 from learned.policy_file import (
-    METADATA_PREFIX,
     Layers,
     checked_layers,
     described_network,
     network_model,
     open_network,
+    read_record,
     record_of,
-    robot_of,
 )
 
-PLAN_SCHEMA = "carosac-plan/1"
+PLAN_SCHEMA, PLAN_FOLDER = "carosac-plan/1", "plans"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
 BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
 INPUT_MAX = 1e6  # of the numbers that it reads
@@ -70,6 +66,12 @@ def check_share(name: str, value: float) -> None:
         raise InvalidField(name, repr(value), "0 < share <= 1")
 
 
+def tension_range(robot: Robot) -> tuple[Array | float, Array | float]:
+    """Return the middle of the tension limits [N], and half of their distance."""
+    low, high = robot.tension_min, robot.tension_max
+    return 0.5 * (high + low), 0.5 * (high - low)
+
+
 class PlanNetwork:
     """First tensions of a plan, and sag less stretch that belong to them.
 
@@ -87,8 +89,7 @@ class PlanNetwork:
         self._session = session
         robot = description.robot
         self._n = robot.n
-        self._middle = 0.5 * (robot.tension_max + robot.tension_min)
-        self._half = 0.5 * (robot.tension_max - robot.tension_min)
+        self._middle, self._half = tension_range(robot)
 
     @classmethod
     def load(cls, path: str | Path) -> PlanNetwork:
@@ -103,8 +104,14 @@ class PlanNetwork:
             raise MissingFile(path)
         session = open_network(path, PLAN_FILE_NAME)
         try:
-            description = _described(path, session.get_modelmeta().custom_metadata_map)
-            network = cls(session, description)
+            record = read_record(
+                path, session.get_modelmeta().custom_metadata_map, PLAN_SCHEMA,
+                [f.name for f in fields(PlanDescription)],
+                wanted=PLAN_FILE_NAME, command="carosac distill",
+            )  # fmt: skip
+            check_positive("excess_scale", record["excess_scale"], "m")
+            check_whole("seed", record["seed"], 0)
+            network = cls(session, PlanDescription(**record))
             network._check_sizes(path)
         except MALFORMED as error:
             got = f"{path} with damaged metadata: {error}"
@@ -138,8 +145,7 @@ class PlanNetwork:
             other = "`carosac distill`" if robot.n < 6 else "use mpc"
             allowed = f"{trained.n}, as the robot of the network: {other}"
             raise InvalidField("robot", f"{robot.n} cables", allowed)
-        needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS
-        names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
+        names = differing_fields(trained, robot, moving=True)
         if names:
             raise InvalidField(
                 "robot", f"{robot.name!r} with other values of {', '.join(names)}",
@@ -182,11 +188,7 @@ def settings_record(settings: MpcSettings) -> dict[str, Any]:
 
 def list_networks() -> tuple[str, ...]:
     """Return the names of the networks that come with the toolkit, sorted."""
-    return tuple(
-        sorted(
-            name for name in BUNDLED.values() if (_folder() / f"{name}{POLICY_SUFFIX}").is_file()
-        )
-    )
+    return list_bundled(PLAN_FOLDER)
 
 
 def bundled_network(robot: Robot) -> str:
@@ -208,36 +210,5 @@ def bundled_network(robot: Robot) -> str:
 
 
 def find_network(name_or_path: str) -> Path:
-    """Find the file of a network.
-
-    Args:
-        name_or_path: A bundled name, or a path.
-
-    Raises:
-        InvalidField: There is none of that name.
-    """
-    names = list_networks()
-    if name_or_path in names:
-        return _folder() / f"{name_or_path}{POLICY_SUFFIX}"
-    path = Path(name_or_path)
-    if path.suffix != POLICY_SUFFIX and not path.exists():
-        allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
-        raise InvalidField("policy", repr(name_or_path), allowed)
-    return path
-
-
-def _folder() -> Path:
-    return Path(str(files("learned"))) / "plans"
-
-
-def _described(path: str | Path, metadata: Mapping[str, str]) -> PlanDescription:
-    """Read the description in the metadata of a file."""
-    schema = metadata.get(METADATA_PREFIX + "schema")
-    if schema != PLAN_SCHEMA:
-        got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
-        raise InvalidField("path", got, f"{PLAN_FILE_NAME}, schema {PLAN_SCHEMA}")
-    names = [f.name for f in fields(PlanDescription)]
-    record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
-    check_positive("excess_scale", record["excess_scale"], "m")
-    check_whole("seed", record["seed"], 0)
-    return PlanDescription(**record | {"robot": robot_of(path, record["robot"])})
+    """Find the file of a network, a bundled one by its name; see `find_bundled`."""
+    return find_bundled(name_or_path, PLAN_FOLDER)

@@ -42,6 +42,7 @@ from learned.approximate_mpc.plan_network import (
     PlanNetwork,
     check_share,
     settings_record,
+    tension_range,
     write_plan_network,
 )
 from learned.policy_file import Layers, record_of
@@ -277,8 +278,7 @@ def _fit(
         why = next((part.lost for part in parts if part.lost), "too few drives")
         raise CarosacError(f"distillation: MPC gave no answers that can be learned from ({why})")
     excess_scale = EXCESS_MARGIN * float(np.abs(excess).max())
-    middle = 0.5 * (robot.tension_max + robot.tension_min)
-    half = 0.5 * (robot.tension_max - robot.tension_min)
+    middle, half = tension_range(robot)
     wanted = np.hstack([(tension - middle) / half, excess / excess_scale])
     unit = np.concatenate([robot.weight / robot.n / half, np.full(robot.n, 0.1)])
     mean, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), SPREAD_MIN)
