@@ -77,6 +77,8 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	for robot in carosac scampi; do for preset in carosac residual; do \
 		$(BIN)/carosac train --preset $$preset --robot $$robot --seeds 3 --workers $(JOBS) \
 			--output $(RESULTS)/learning/$$robot-$$preset || exit; done; done
+	$(BIN)/carosac distill --robot carosac --tension-share 0.6 --output $(RESULTS)/distilled/carosac
+	$(BIN)/carosac distill --robot scampi --output $(RESULTS)/distilled/scampi
 	$(BIN)/carosac train --preset residual --seed 9 --steps 256 --set environment.correction=0 \
 		--output $(RESULTS)/feedforward
 	$(BIN)/python -m benchmarks.learning --parts curves bars --runs $(RESULTS)/learning/*
@@ -84,6 +86,8 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 		$(RESULTS)/feedforward/realtime/policy.onnx \
 		$(RESULTS)/learning/*-residual/*/realtime/policy.onnx
 	$(BIN)/python -m benchmarks.learning --parts inference low
+	$(BIN)/python -m benchmarks.approximate_mpc --networks \
+		$(RESULTS)/distilled/carosac/network.onnx $(RESULTS)/distilled/scampi/network.onnx
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build

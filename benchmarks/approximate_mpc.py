@@ -99,12 +99,14 @@ def main() -> None:
     parser.add_argument("--networks", nargs="*", default=[], help="ONNX files; beside the bundled")
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
-    networks = [bundled_network(ct.load_robot(name)) for name in asked.robots] + asked.networks
+    bundled = [bundled_network(ct.load_robot(name)) for name in asked.robots]
+    networks = bundled + asked.networks
     loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
     every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}
     for name, description in loaded:
         if description.robot.name in every:
-            every[description.robot.name].append((f"seed {description.seed}", name))
+            label = f"seed {description.seed}" if name in bundled else name
+            every[description.robot.name].append((label, name))
     tasks = [
         Task(robot=robot, controller=CONTROLLER if policy else "mpc", path=path, seed=seed,
              policy=policy)
@@ -133,8 +135,8 @@ def main() -> None:
     ]  # fmt: skip
     text = [
         f"{asked.seeds} plants drawn from nominal-1, `dynamic_estimator` on lengths and IMU; "
-        "networks by the seed of their training; ratios of tracking are means over pairs of runs "
-        "on one plant and path, and the upper bound of the mean.",
+        "bundled networks by the seed of their training, others by their file; ratios of tracking "
+        "are means over pairs of runs on one plant and path, and the upper bound of the mean.",
         "", table(header, rows), "",
         "CPU time of a command in the loop, median of a drive of each on one plant and path, one "
         "after the other:",
