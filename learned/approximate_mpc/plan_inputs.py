@@ -9,6 +9,7 @@ import numpy as np
 
 from baselines.mpc import model
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn
@@ -43,7 +44,24 @@ class PlanInputs:
 
 def input_count(robot: Robot, stages: int) -> int:
     """Return how many numbers `PlanNumbers` gives."""
-    return 3 + 3 + 6 + 6 * (stages + 1) + 3 + 6 + robot.n + 3
+    return sum(count for _, count in _blocks(robot, stages))
+
+
+def input_units(robot: Robot, stages: int) -> Array:
+    """Return the units of the numbers of `PlanNumbers`, over those on ``carosac``."""
+    ratios = Scales(robot).ratios
+    return np.concatenate(
+        [np.full(count, ratios.of_unit(unit)) for unit, count in _blocks(robot, stages)]
+    )
+
+
+def _blocks(robot: Robot, stages: int) -> tuple[tuple[str, int], ...]:
+    """Return the unit of each block of numbers, and how many these are."""
+    ahead = 3 * (stages + 1)
+    return (
+        ("1", 3), ("rad", 3), ("m/s", 3), ("rad/s", 3), ("m", ahead), ("m/s", ahead),
+        ("m", 3), ("m/s^2", 3), ("rad/s^2", 3), ("1", robot.n), ("m", 3),
+    )  # fmt: skip
 
 
 class PlanNumbers:

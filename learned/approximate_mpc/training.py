@@ -37,6 +37,7 @@ from learned.approximate_mpc.demonstrations import (
     DemonstrationSettings,
     demonstrate,
 )
+from learned.approximate_mpc.plan_inputs import input_units
 from learned.approximate_mpc.plan_network import (
     PlanDescription,
     PlanNetwork,
@@ -49,7 +50,7 @@ from learned.policy_file import Layers, record_of
 
 SETTINGS_FILE, TABLE_FILE, NETWORK_FILE = "settings.json", "rounds.csv", "network.onnx"
 EXCESS_MARGIN = 2.0  # times the largest sag less stretch that was met: of an output of 1
-SPREAD_MIN = 1e-3  # of an input: what hardly varies must not be blown up
+SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
 HELD_OUT_EVERY = 12  # one drive of so many is not trained on
 TABLE_COLUMNS = (
     "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N"
@@ -139,7 +140,7 @@ def distill(
         path = folder / f"round-{k + 1}.onnx"
         if not path.is_file():
             fit = _fit(
-                robot, parts, chosen, k, seed,
+                robot, teacher.stages, parts, chosen, k, seed,
                 partial(report, f"round {k + 1} of {len(chosen.drives)}: updates"),
             )  # fmt: skip
             errors = np.array([part.error for part in parts[first:]])
@@ -256,6 +257,7 @@ class _Fit:
 
 def _fit(
     robot: Robot,
+    stages: int,
     parts: list[Demonstrations],
     settings: DistillationSettings,
     number: int,
@@ -281,7 +283,8 @@ def _fit(
     middle, half = tension_range(robot)
     wanted = np.hstack([(tension - middle) / half, excess / excess_scale])
     unit = np.concatenate([robot.weight / robot.n / half, np.full(robot.n, 0.1)])
-    mean, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), SPREAD_MIN)
+    least = SPREAD_MIN * input_units(robot, stages)
+    mean, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), least)
     seen = torch.tensor((numbers - mean) / spread, dtype=torch.float32)
     goal = torch.tensor(wanted, dtype=torch.float32)
     scale = torch.tensor(unit, dtype=torch.float32)

@@ -48,7 +48,7 @@ class Options(DefaultRobotOptions):
     """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth
     of them."""
     tension_share: float | None = None
-    """Share of the way to new tensions that is gone in a command, by default 1. Where cables are
+    """Share of the way to new tensions that a command goes, by default 1. Where cables are
     stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up."""
     workers: int | None = None
     """Processes that drive; by default one per core."""

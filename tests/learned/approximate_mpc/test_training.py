@@ -9,8 +9,9 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.similar import similar_robot
 from learned.approximate_mpc.demonstrations import Demonstrations, DemonstrationSettings
-from learned.approximate_mpc.plan_inputs import input_count
+from learned.approximate_mpc.plan_inputs import input_count, input_units
 from learned.approximate_mpc.plan_network import PlanNetwork, write_plan_network
 from learned.approximate_mpc.training import DistillationSettings, distill
 from learned.policy_controller import find_policy
@@ -71,6 +72,13 @@ def test_tensions_of_a_network_never_leave_their_limits(robot, folder):
         assert (tension >= robot.tension_min).all() and (tension <= robot.tension_max).all()
     with pytest.raises(InvalidField, match="plan inputs"):
         network.plan(np.full(count, np.nan))
+
+
+def test_units_of_inputs_are_those_of_carosac_and_grow_with_the_robot(robot):
+    same, small = input_units(robot, 20), input_units(similar_robot(robot, 0.1), 20)
+    assert same == pytest.approx(np.ones(input_count(robot, 20)))
+    assert small[12:15] == pytest.approx(0.1)  # of distances
+    assert small[6:9] == pytest.approx(np.sqrt(0.1))  # of velocities, by Froude's law
 
 
 def test_a_network_is_refused_for_another_robot(robot, folder):
