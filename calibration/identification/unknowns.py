@@ -3,12 +3,15 @@
 What must stay positive is a factor exp(sigma u). The inertia is varied through the second moments
 of the mass, S = 1/2 tr(I) 1 - I, as S -> D S D with D diagonal and positive: whatever the
 coordinates are, a real body can have it. Stiffness and run length are varied at a constant
-stiffness of the whole cable at home: EA = k (L + run), where data often know k alone.
+stiffness of the whole cable at home: EA = k (L + run), where data often know k alone. Dry friction
+is varied at a constant ratio to the mass: all forces and masses by one factor give the same motion,
+and that factor is a straight line in coordinates, though data hardly know it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +45,7 @@ _NOT_NEGATIVE_FIELDS = (
     "length_delay",  # estimators cannot look ahead
     *DRY_FIELDS,
 )
+_FRICTION_FIELDS = ("exit_friction", "anchor_friction")  # in proportion to the mass
 _PER_CABLE_FIELDS = (
     "linear_density", "axial_stiffness", "axial_damping", "run_length", "exit_friction",
     "anchor_friction",
@@ -84,6 +88,8 @@ class Coordinates:
         for i, name in enumerate(self.prior.names):
             if field_of(name) == "axial_stiffness":
                 values[i] *= self._lengthening(name, values)
+            elif field_of(name) in _FRICTION_FIELDS and "mass" in self.prior.names:
+                values[i] *= values[self.prior.names.index("mass")] / robot.mass
         plain = [i for i, name in enumerate(self.prior.names) if name not in _INERTIA_NAMES]
         changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
         if not self.anchored:
@@ -109,6 +115,20 @@ class Coordinates:
         sign = np.where(inverse, -1.0, 1.0)
         share = np.maximum(1.0 + sign * self.scale * step, STEP_SHARE_MIN)
         return np.where(self.factor > 0.0, at + sign * np.log(share) / self.scale, at + step)
+
+    @cached_property
+    def alike(self) -> Array | None:
+        """Direction (k,) along which all forces and masses grow by one factor; motion stays as is.
+
+        None where one of them is held.
+        """
+        line = np.where(self.factor > 0.0, 1.0 / self.scale, 0.0)
+        larger = self.robot_at(line)
+        for field in (*_FACTOR_FIELDS, *_FRICTION_FIELDS, "inertia"):
+            before, after = (np.asarray(getattr(each, field)) for each in (self.robot, larger))
+            if not np.allclose(after, np.e * before, rtol=1e-9, atol=0.0):
+                return None
+        return line
 
     def _lengthening(self, name: str, values: Array) -> float:
         """Return by which factor the cable of an EA becomes longer with its run."""
@@ -176,23 +196,48 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     if not names:
         raise InvalidField("settings", "all parameters are held", "at least one sigma > 0")
     natural = np.where(factor, start * scale, scale)  # one sigma of the parameters themselves
-    known = prior_covariance(robot, names, natural)
-    prior = Prior(
-        names=names, mean=np.zeros(len(names)), covariance=known / np.outer(natural, natural)
-    )
     lower = np.full(len(names), -np.inf)
     for i, name in enumerate(names):
         if field_of(name) in _NOT_NEGATIVE_FIELDS and start[i] >= 0.0:
             lower[i] = -start[i] / scale[i]
+    known = prior_covariance(robot, names, natural) / np.outer(natural, natural)
+    coupled = _coupled(robot, names, natural)
     return Coordinates(
         robot=robot,
-        prior=prior,
+        prior=Prior(names=names, mean=np.zeros(len(names)), covariance=coupled @ known @ coupled.T),
         scale=scale,
         factor=factor.astype(np.float64),
         lower=lower,
         reach=_reach(robot),
         anchored=is_anchored(robot) or settings.exit_points == 0.0,
     )
+
+
+def _coupled(robot: Robot, names: tuple[str, ...], natural: Array) -> Array:
+    """Return derivatives (k, k) of coordinates by parameters over `natural`, at the robot itself.
+
+    What the robot file knows of a stiffness or a dry moment is of the parameter, not of its ratio
+    to what it is varied with.
+
+    Args:
+        robot: At coordinates 0.
+        names: k parameters.
+        natural: Change of each by a coordinate of 1 alone, shape (k,).
+    """
+    derivative = np.eye(len(names))
+    start = values_of(robot, names)
+    for i, name in enumerate(names):
+        if name not in (robot.calibrated or ()):
+            continue
+        if field_of(name) in _FRICTION_FIELDS and "mass" in names:
+            k, base = names.index("mass"), robot.mass
+        elif name.replace("axial_stiffness", "run_length") in names[:i] + names[i + 1 :]:
+            k = names.index(name.replace("axial_stiffness", "run_length"))
+            base = _reach(robot) + start[k]
+        else:
+            continue
+        derivative[i, k] = -start[i] / natural[i] * natural[k] / base
+    return derivative
 
 
 def _reach(robot: Robot) -> float:

@@ -64,6 +64,34 @@ def test_run_length_moves_at_a_constant_stiffness_of_the_whole_cable(unknowns):
     assert after == pytest.approx(before)
 
 
+def test_all_forces_and_masses_by_one_factor_are_a_straight_line(unknowns):
+    """Motion does not tell the factor: a curve would make sigmas of what it does tell wrong."""
+    names, shares = unknowns.prior.names, unknowns.scale
+    point = np.zeros(len(names))
+    for name in ("exit_friction", "anchor_friction"):
+        point[names.index(name)] = 1.2
+    every = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
+    grows = [name in every or name.startswith("inertia.") for name in names]
+    line = np.where(grows, 1.0 / shares, 0.0)  # factors are e
+    robot, larger = unknowns.robot_at(point), unknowns.robot_at(point + line)
+    for field in (*every, "exit_friction", "anchor_friction", "inertia"):
+        before, after = getattr(robot, field), getattr(larger, field)
+        assert np.asarray(after) == pytest.approx(np.e * np.asarray(before), rel=1e-9)
+    assert larger.run_length == pytest.approx(robot.run_length)
+
+
+def test_what_the_file_knows_of_coupled_parameters_is_their_prior():
+    robot = replace(ct.load_robot("carosac"), exit_friction=np.full(4, 0.2))
+    names = ("mass", "axial_stiffness", "run_length", "exit_friction")
+    sigma = np.array([0.5, 4e3, 0.3, 0.01])
+    known = np.outer(sigma, sigma) * (0.6 + 0.4 * np.eye(4))
+    robot = replace(robot, calibrated=names, calibration_covariance=known)
+    unknowns = choose_coordinates(robot, IdentificationSettings())
+    none = np.zeros(len(unknowns.prior.names))
+    estimate = unknowns.estimate(none, unknowns.prior.covariance).select(names)
+    assert estimate.covariance == pytest.approx(known, rel=1e-4)
+
+
 def test_the_covariance_of_the_robot_file_is_the_prior():
     robot = ct.load_robot("carosac")
     block = np.array([[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-6]])
