@@ -25,10 +25,7 @@ from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-# The same forward of many recordings, where only factors have central ones in the end. All forces
-# and masses by one factor give the same motion: derivatives wrong by half a percent seem to tell it
-# that well.
-FORWARD_STEP_OF_MANY = 0.0005
+STEP_OF_MANY = 5e-4  # the same of many recordings, which tell more: friction bends less, turns jump
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
@@ -121,6 +118,7 @@ class Fitter:
         ]  # rows of the coordinates that each run depends on
         loose = sum(sizes)
         self._names = [*unknowns.prior.names, *(name for run in runs for name in run.sway.names)]
+        self._mass = self._names.index("mass") if "mass" in self._names else -1
         self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
         self._precision = block_diag(unknowns.prior.information, np.eye(loose))
@@ -188,7 +186,7 @@ class Fitter:
         rows = np.flatnonzero(held)
         if not (self._sways and len(rows)):
             return covariance
-        plain = self._slopes(state.at, held, self._time_step, coarse=False)
+        plain = self._slopes(state.at, held, self._time_step)
         seen = [a + b for a, b in zip(plain, self._missing(state.at, held), strict=True)]
         moved = np.zeros((len(covariance), len(rows)))
         for own, errors, jacobian, beside in zip(
@@ -235,10 +233,11 @@ class Fitter:
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
             settled = self._promise(at, hessian, gradient) <= least
-            if not settled:
+            stuck = False
+            if not settled or (self._sways and not coarse):  # by exact derivatives, a last one too
                 step = self._search(at, hessian, gradient, errors, noise, damping)
-                stuck = step.decrease <= least
-                settled = not coarse and 0.0 < step.decrease <= least
+                stuck = not settled and step.decrease <= least
+                settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
             if settled or stuck:
                 if steps is not None or not coarse:
@@ -355,35 +354,39 @@ class Fitter:
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
         for each other show by less than a hundredth of what each of them does.
+
+        All forces and masses by one factor give the same motion, so that those by the mass follow
+        from the others. As a difference they would be wrong by a thousandth of themselves, and many
+        recordings would seem to tell that factor.
         """
         searched = self._searched.copy()
         searched[: self._count] &= not starts
-        exact = self._sways and not coarse
+        alike = self._unknowns.alike if self._many and not starts else None
+        if alike is not None and searched[self._mass]:
+            searched[self._mass] = False
+        else:
+            alike = None
         ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
-        plain = self._slopes(at, searched, ratio * self._time_step, coarse=coarse)
-        if not exact:
-            return plain
-        assert not starts, "what is kept is by all that is searched"
-        if self._finer is None:  # once: what steps of the search change of it is of second order
-            self._finer = self._missing(at, searched)
-        return [each + more for each, more in zip(plain, self._finer, strict=True)]
+        jacobians = self._slopes(at, searched, ratio * self._time_step)
+        if self._sways and not coarse:
+            assert not starts, "what is kept is by all that is searched"
+            if self._finer is None:  # once: what steps of the search change is of second order
+                self._finer = self._missing(at, searched)
+            jacobians = [each + more for each, more in zip(jacobians, self._finer, strict=True)]
+        if alike is not None:
+            for each in jacobians:
+                each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
+        return jacobians
 
     def _missing(self, at: Array, searched: NDArray[np.bool_]) -> list[Array]:
         """Return what derivatives of vanishing time steps have beyond those of `_slopes`."""
         rough, fine = (
-            self._slopes(at, searched, self._time_step, coarse=True, refined=parts)
-            for parts in (1, 2)
+            self._slopes(at, searched, self._time_step, refined=parts) for parts in (1, 2)
         )
         return [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
 
     def _slopes(
-        self,
-        at: Array,
-        searched: NDArray[np.bool_],
-        time_step: float,
-        *,
-        coarse: bool,
-        refined: int = 1,
+        self, at: Array, searched: NDArray[np.bool_], time_step: float, *, refined: int = 1
     ) -> list[Array]:
         """Return differences of errors over their width.
 
@@ -391,38 +394,24 @@ class Fitter:
             at: All coordinates.
             searched: By which of them.
             time_step: At most [s].
-            coarse: True for forward differences alone; others of many recordings are central by
-                factors.
             refined: Steps that each of these is divided into.
 
         Returns:
             Of each run, shape (K, 6, p).
         """
+        step = STEP_OF_MANY if self._many else FINITE_DIFFERENCE_STEP
         varied = [own[searched[own]] for own in self._own]
-        central = np.zeros(len(at), dtype=np.bool_)
-        if self._many and not coarse:
-            central[: self._count] = self._unknowns.factor > 0.0
-        step = np.where(self._many & ~central, FORWARD_STEP_OF_MANY, FINITE_DIFFERENCE_STEP)
-        more, less = at + np.diag(step), at - np.diag(step)
-        points = [
-            np.vstack([at[None], more[rows], less[rows[central[rows]]]]) for rows in varied
-        ]  # factors have no bounds
+        more = at + step * np.eye(len(at))  # bounds lie below
+        points = [np.vstack([at[None], more[rows]]) for rows in varied]
         errors, good = self._simulated(points, time_step, refined=refined)
         jacobians = []
         for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
-            both = central[rows]
             if not sound.all():
-                rows = np.concatenate([[-1], rows, rows[both]])
-                row = int(rows[np.argmin(sound)])
-                beside = "" if row < 0 else f" with another {self._names[row]}"
+                row = int(np.argmin(sound)) - 1
+                beside = "" if row < 0 else f" with another {self._names[rows[row]]}"
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
-            after, width = each[1 : len(rows) + 1], step[rows]
-            before = np.repeat(each[:1], len(rows), axis=0)
-            before[both] = each[len(rows) + 1 :]
-            width = np.where(both, 2.0 * width, width)
             jacobian = np.zeros((*each.shape[1:], len(own)))
-            slopes = (after - before) / width[:, None, None]
-            jacobian[:, :, searched[own]] = np.moveaxis(slopes, 0, 2)
+            jacobian[:, :, searched[own]] = np.moveaxis((each[1:] - each[0]) / step, 0, 2)
             jacobians.append(jacobian)
         return jacobians
 
