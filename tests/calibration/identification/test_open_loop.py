@@ -9,6 +9,8 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.open_loop import simulate
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.recordings.length_path import LengthPath
@@ -73,6 +75,18 @@ def test_a_delay_moves_the_motion_in_time(robot, swinging):
     at = np.searchsorted(np.union1d(time, time + 0.1), time - 1e-9)
     later = np.searchsorted(np.union1d(time, time + 0.1), time + 0.1 - 1e-9)
     assert motion.position[later, 1] == pytest.approx(motion.position[at, 0], abs=1e-4)
+
+
+def test_all_forces_and_masses_by_one_factor_give_the_same_motion(robot, swinging):
+    """The search takes the derivatives by the mass from those by the others."""
+    rubbing = replace(robot, exit_friction=np.full(4, 0.2), anchor_friction=np.full(4, 0.1))
+    unknowns = choose_coordinates(rubbing, IdentificationSettings())
+    assert unknowns.alike is not None
+    larger = unknowns.robot_at(unknowns.alike)
+    assert larger.mass == pytest.approx(np.e * robot.mass)
+    motion = moved([rubbing, larger], swinging, swinging.time[::10])
+    assert motion.position[:, 1] == pytest.approx(motion.position[:, 0], abs=1e-9)
+    assert motion.rotation[:, 1] == pytest.approx(motion.rotation[:, 0], abs=1e-9)
 
 
 def test_the_derivative_with_respect_to_a_parameter_exists(robot, swinging):

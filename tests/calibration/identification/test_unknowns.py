@@ -66,18 +66,22 @@ def test_run_length_moves_at_a_constant_stiffness_of_the_whole_cable(unknowns):
 
 def test_all_forces_and_masses_by_one_factor_are_a_straight_line(unknowns):
     """Motion does not tell the factor: a curve would make sigmas of what it does tell wrong."""
-    names, shares = unknowns.prior.names, unknowns.scale
+    names = unknowns.prior.names
     point = np.zeros(len(names))
     for name in ("exit_friction", "anchor_friction"):
         point[names.index(name)] = 1.2
-    every = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
-    grows = [name in every or name.startswith("inertia.") for name in names]
-    line = np.where(grows, 1.0 / shares, 0.0)  # factors are e
-    robot, larger = unknowns.robot_at(point), unknowns.robot_at(point + line)
-    for field in (*every, "exit_friction", "anchor_friction", "inertia"):
+    robot, larger = unknowns.robot_at(point), unknowns.robot_at(point + unknowns.alike)
+    forces = ("linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
+    for field in ("mass", "inertia", *forces, "exit_friction", "anchor_friction"):
         before, after = getattr(robot, field), getattr(larger, field)
         assert np.asarray(after) == pytest.approx(np.e * np.asarray(before), rel=1e-9)
     assert larger.run_length == pytest.approx(robot.run_length)
+
+
+@pytest.mark.parametrize("held", ["mass", "linear_density", "drag"])
+def test_there_is_no_such_line_where_a_force_or_mass_is_held(held):
+    robot = ct.load_robot("carosac")
+    assert choose_coordinates(robot, IdentificationSettings(**{held: 0.0})).alike is None
 
 
 def test_what_the_file_knows_of_coupled_parameters_is_their_prior():
