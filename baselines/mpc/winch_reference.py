@@ -62,6 +62,7 @@ class WinchReference:
         self._speed = np.zeros_like(self.length)
         self._acceleration = np.zeros_like(self.length)
         self._before = self._state()
+        self._range: WinchRange | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -77,6 +78,11 @@ class WinchReference:
 
     def command_range(self) -> WinchRange:
         """Return the commands within all limits; that of acceleration goes first."""
+        if self._range is None:  # once a tick
+            self._range = self._allowed()
+        return self._range
+
+    def _allowed(self) -> WinchRange:
         robot, h, keep = self._robot, self._period, 1.0 - LIMIT_MARGIN
         change = self._jerk_max * h * (1.0 - JERK_LIMIT_MARGIN)
         most = robot.acceleration_max * keep
@@ -145,7 +151,7 @@ class WinchReference:
         self.length, self.rate = length, rate
         speed = (command - self._sent) / self._period
         self._acceleration = (speed - self._speed) / self._period
-        self._speed, self._sent = speed, command
+        self._speed, self._sent, self._range = speed, command, None
 
     def accelerate(self, acceleration: Array) -> Array:
         """Return the command for a length acceleration in this tick [m/s^2], shape (n,)."""

@@ -396,8 +396,9 @@ class ApproximateMpc:
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)
         idle = bool(reason) or bool(self._fallback.active[0])
-        length = self._follower.braked
-        if not idle:
+        if idle:
+            length = self._follower.braked
+        else:
             tension, excess = self._network.plan(self._numbers.of(inputs))
             length = self._follower.follow(inputs, tension, excess)
         sent = self._fallback.command(length[None], belief, reference, reasons)
