@@ -25,6 +25,7 @@ from scipy.stats import chi2
 import carosac_toolkit as ct
 from benchmarks.results import write_section
 from calibration import IdentificationSettings, identify_runs
+from calibration.identification.fit import UNSEEN_FIELDS
 from calibration.identification.result import Identification
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -38,6 +39,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.parameters import turn_between, values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
@@ -107,14 +109,16 @@ class Score:
 def score(
     unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
 ) -> Score:
-    """Compare an identified robot with the true one, in the coordinates of the search.
+    """Compare an identified robot with the true one, in what the search takes its steps of.
 
-    A Gaussian is right for these: stiffness and run length, for one, are known to a stiffness of
-    the whole cable far better than each of them, along a curve.
+    A Gaussian is right for that, as motion is nearly linear in it. Parameters that make up for each
+    other, such as a stiffness and the offset of a length, are known along a curve.
     """
     estimate = result.estimate
     slope = _derivative(unknowns, result.robot)
-    off = _coordinates(unknowns, result.robot) - _coordinates(unknowns, plant)
+    off = _straight(unknowns, _coordinates(unknowns, result.robot)) - _straight(
+        unknowns, _coordinates(unknowns, plant)
+    )
     covariance = slope @ estimate.covariance @ slope.T
     shares = np.abs(off) / np.sqrt(np.diag(covariance))
     worst = int(np.argmax(shares))
@@ -161,15 +165,30 @@ def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
     return np.asarray(change / unknowns.scale)
 
 
+def _straight(unknowns: Coordinates, at: Array) -> Array:
+    """Return coordinates (k,) in which motion is nearly linear, as `Coordinates.moved` has them.
+
+    Factors are themselves, and of a stiffness its inverse, over their prior sigma; what the search
+    cannot see has a prior alone, which is normal in its logarithm.
+    """
+    fields = [field_of(name) for name in unknowns.prior.names]
+    sign = np.array([-1.0 if field == "axial_stiffness" else 1.0 for field in fields])
+    told = (unknowns.factor > 0.0) & np.array([field not in UNSEEN_FIELDS for field in fields])
+    return np.where(told, sign * np.exp(sign * unknowns.scale * at) / unknowns.scale, at)
+
+
 def _derivative(unknowns: Coordinates, robot: Robot) -> Array:
-    """Return the derivative of coordinates by parameters at a robot, shape (k, k)."""
+    """Return the derivative of straight coordinates by parameters at a robot, shape (k, k)."""
     at = _coordinates(unknowns, robot)
     here = values_of(robot, unknowns.prior.names)
-    columns = [
-        (values_of(unknowns.robot_at(at + step), unknowns.prior.names) - here) / DERIVATIVE_STEP
-        for step in DERIVATIVE_STEP * np.eye(len(at))
-    ]  # bounds lie below
-    return np.asarray(np.linalg.inv(np.stack(columns, axis=1)))
+    steps = DERIVATIVE_STEP * np.eye(len(at))  # bounds lie below
+    parameters = [values_of(unknowns.robot_at(at + step), unknowns.prior.names) for step in steps]
+    straight = [_straight(unknowns, at + step) for step in steps]
+    by_both = [
+        np.stack(ahead, axis=1) - np.asarray(start)[:, None]
+        for ahead, start in ((straight, _straight(unknowns, at)), (parameters, here))
+    ]
+    return np.asarray(by_both[0] @ np.linalg.inv(by_both[1]))
 
 
 def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
