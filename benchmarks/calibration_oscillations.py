@@ -3,9 +3,9 @@
 Run it from the project's root: ``python -m benchmarks.calibration_oscillations [--seeds N]
 [--cables N ...] [--apart]``. Each robot takes some minutes and is kept under
 ``benchmarks/oscillations.parts``, so that a run goes on where another one ended; the section is
-written from all that is there. Remove the folder where the code has changed. With ``--apart`` two
-robots are identified at a time, each on one core: that is faster for many, and does not tell how
-long one takes on two.
+written from all that is there. Remove the folder where the code has changed. With ``--apart`` each
+core identifies a robot of its own: that is faster for many, and does not tell how long one takes on
+two cores.
 """
 
 from __future__ import annotations
@@ -171,10 +171,10 @@ def _straight(unknowns: Coordinates, at: Array) -> Array:
     Factors are themselves, and of a stiffness its inverse, over their prior sigma; what the search
     cannot see has a prior alone, which is normal in its logarithm.
     """
-    fields = [field_of(name) for name in unknowns.prior.names]
-    sign = np.array([-1.0 if field == "axial_stiffness" else 1.0 for field in fields])
-    told = (unknowns.factor > 0.0) & np.array([field not in UNSEEN_FIELDS for field in fields])
-    return np.where(told, sign * np.exp(sign * unknowns.scale * at) / unknowns.scale, at)
+    unseen = [field_of(name) in UNSEEN_FIELDS for name in unknowns.prior.names]
+    told = (unknowns.factor > 0.0) & ~np.array(unseen)
+    power, scale = unknowns.power, unknowns.scale
+    return np.where(told, power * np.exp(power * scale * at) / scale, at)
 
 
 def _derivative(unknowns: Coordinates, robot: Robot) -> Array:
@@ -281,7 +281,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--cables", type=int, nargs="+", default=list(CABLES), choices=CABLES)
-    parser.add_argument("--apart", action="store_true", help="two at a time, on a core each")
+    parser.add_argument("--apart", action="store_true", help="on each core a robot of its own")
     given = parser.parse_args()
     options = OscillationSettings()
     todo = [(cables, seed) for seed, cables in product(range(given.seeds), given.cables)]

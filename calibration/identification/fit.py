@@ -25,7 +25,9 @@ from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
-STEP_OF_MANY = 5e-4  # the same of many recordings, which tell more: friction bends less, turns jump
+# The same of many recordings, which tell more: over longer ones motion is less linear, and over
+# shorter ones its jumps count for more.
+STEP_OF_MANY = 5e-4
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.

@@ -111,10 +111,14 @@ class Coordinates:
         their EA, to its inverse. Along logarithms it does not: a step is one of what it is
         proportional to.
         """
+        share = np.maximum(1.0 + self.power * self.scale * step, STEP_SHARE_MIN)
+        return np.where(self.factor > 0.0, at + self.power * np.log(share) / self.scale, at + step)
+
+    @property
+    def power(self) -> Array:
+        """Power of each parameter to which motion is in proportion, shape (k,): 1, or -1 of EA."""
         inverse = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
-        sign = np.where(inverse, -1.0, 1.0)
-        share = np.maximum(1.0 + sign * self.scale * step, STEP_SHARE_MIN)
-        return np.where(self.factor > 0.0, at + sign * np.log(share) / self.scale, at + step)
+        return np.where(inverse, -1.0, 1.0)
 
     @cached_property
     def alike(self) -> Array | None:
