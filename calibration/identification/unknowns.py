@@ -130,7 +130,7 @@ class Coordinates:
         larger = self.robot_at(line)
         for field in (*_FACTOR_FIELDS, *_FRICTION_FIELDS, "inertia"):
             before, after = (np.asarray(getattr(each, field)) for each in (self.robot, larger))
-            if not np.allclose(after, np.e * before, rtol=1e-9, atol=0.0):
+            if not np.allclose(after, np.exp(1.0) * before, rtol=1e-9, atol=0.0):
                 return None
         return line
 
