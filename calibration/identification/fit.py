@@ -145,11 +145,36 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
+        return self._settled(self._approached(report), report)
+
+    def approach(self, report: ProgressCallback) -> Array:
+        """Search as far as a part of the poses leads; return the coordinates (k,) there.
+
+        Args:
+            report: As of `run`.
+        """
+        return self._approached(report)[: self._count]
+
+    def finish(self, coordinates: Array, report: ProgressCallback) -> CoordinateFit:
+        """Search with all poses from coordinates (k,) to which `approach` led; see `run`."""
+        self._first = np.concatenate([coordinates, self._first[self._count :]])
+        return self._settled(self._started(), report)
+
+    def _approached(self, report: ProgressCallback) -> Array:
+        """Return all coordinates to which ever more of the poses lead."""
         whole, at = self._runs, self._started()
-        for share in SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES:
+        shares = SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES
+        for share in shares[:-1]:
             self._runs = tuple(run.first(share) for run in whole)
-            state = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
-            at = state.at
+            at = self._settle(at, STEPS_PER_SHARE, report).at
+        self._runs = whole
+        return at
+
+    def _settled(self, at: Array, report: ProgressCallback) -> CoordinateFit:
+        """Search from there with all poses."""
+        self._runs = tuple(run.first(1.0) for run in self._runs)
+        state = self._settle(at, None, report)
+        at = state.at
         noise = estimate_noise(state.errors)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
         excess = self._excess(state, noise, information)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ from calibration.identification.runs import (
     is_locked,
     slow_window,
     time_before,
+    windows_by,
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
@@ -201,23 +203,26 @@ def _identify(
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
     windows = _windows(parts, robot, poses, rests)
-    early = max(
-        (
-            time_before(robot, rest)
-            for part, rest, window in zip(parts, rests, windows, strict=True)
-            if window and part.train is not None
-        ),
-        default=0.0,
-    )  # the same for all: recordings that are sampled alike are simulated together
-    runs = [
-        _prepared(part, robot, each, chosen, path, rest, window, early)
-        for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
-    ]
+
+    prepare = partial(_prepare, parts, robot, poses, chosen, paths, rests)
+    runs = prepare(windows)
     before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
-    fit = Fitter(unknowns, trained, chosen).run(report)
+    fitter = Fitter(unknowns, trained, chosen)
+    if any(windows):
+        nearly = fitter.approach(report)
+        times = [
+            each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)
+        ]
+        windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
+        runs = prepare(windows)
+        before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
+        trained = [run.fitted for run in runs if run.part.train is not None]
+        fit = Fitter(unknowns, trained, chosen).finish(nearly, report)
+    else:
+        fit = fitter.run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts]
     if kept:
@@ -319,6 +324,30 @@ def _fitted_span(part: _Part) -> Range:
     span = part.train or part.test
     assert span is not None, "a recording is fitted or scored"
     return span
+
+
+def _prepare(
+    parts: Sequence[_Part],
+    robot: Robot,
+    poses: Sequence[MeasuredPoses],
+    settings: IdentificationSettings,
+    paths: Sequence[LengthPath],
+    rests: Sequence[Equilibrium],
+    windows: Sequence[float],
+) -> list[_Run]:
+    """Find how recordings begin, and what of them a fit sees, averaged over windows [s]."""
+    early = max(
+        (
+            time_before(robot, rest)
+            for part, rest, window in zip(parts, rests, windows, strict=True)
+            if window and part.train is not None
+        ),
+        default=0.0,
+    )  # the same for all: recordings that are sampled alike are simulated together
+    return [
+        _prepared(part, robot, each, settings, path, rest, window, early)
+        for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
+    ]
 
 
 def _prepared(

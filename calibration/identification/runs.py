@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calibration.identification.measured_poses import MeasuredPoses
+from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.sway import FreeSway
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.modes import natural_frequencies
@@ -119,6 +121,29 @@ def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
     if window * slow > SLOW_PERIODS_MAX or window < WINDOW_POSES_MIN * step:
         return 0.0
     return float(window)
+
+
+def windows_by(
+    robot: Robot, windows: Sequence[float], paths: Sequence[LengthPath], times: Sequence[Array]
+) -> list[float]:
+    """Return windows [s] of recordings that have one, by the vibrations of another robot.
+
+    A robot file may have cables three times too stiff. Windows by its vibrations are too short, and
+    let those of the robot through; they are long enough to find out that it is softer.
+
+    Args:
+        robot: Nearly the one that moved.
+        windows: By the robot file [s]; 0: none. They stay where sway and vibrations of `robot` are
+            not apart in one of them.
+        paths: Readings of each recording.
+        times: Of the poses of each [s], shape (K,).
+    """
+    found = [
+        slow_window(robot, first_equilibrium(robot, path), time) if window else 0.0
+        for window, path, time in zip(windows, paths, times, strict=True)
+    ]
+    lost = any(old and not new for old, new in zip(windows, found, strict=True))
+    return list(windows) if lost else found
 
 
 def fastest_sway(robot: Robot, rest: Equilibrium) -> float:

@@ -23,6 +23,7 @@ from calibration.identification.runs import (
     is_locked,
     slow_window,
     time_before,
+    windows_by,
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
@@ -110,6 +111,30 @@ def test_no_motion_tells_the_unit_of_force(plant, runs):
         assert np.linalg.norm(jacobian[:, :, mass] - expected) < 3e-3 * np.linalg.norm(expected)
         along = jacobian[:, :, : len(unknowns.prior.names)] @ unknowns.alike
         assert np.abs(along).max() < 1e-12
+
+
+def test_windows_by_the_robot_that_is_found_leave_its_vibrations_out(plant, runs):
+    """Those by cables that seem three times as stiff are too short, and let them through."""
+    soft = replace(plant, axial_stiffness=plant.axial_stiffness / 3.0)
+    run = runs[0]
+    time = np.arange(0.0, 10.0, 1.0 / RATE)
+    slowest = natural_frequencies(soft, first_equilibrium(soft, run.path))[0, 3]
+    wave = np.sin(2.0 * np.pi * slowest * time)[:, None] * np.ones((1, 6))
+
+    def seen(window):
+        poses = MeasuredPoses(
+            time=time,
+            position=np.zeros((len(time), 3)),
+            rotation=np.tile(np.eye(3), (len(time), 1, 1)),
+            index=np.arange(len(time)),
+        )
+        return np.abs(replace(run, poses=poses, window=window).seen(wave)).max()
+
+    assert seen(run.window) > 0.05
+    (window,) = windows_by(soft, [run.window], [run.path], [time])
+    assert seen(window) < 2e-3
+    assert windows_by(soft, [0.0], [run.path], [time]) == [0.0]
+    assert windows_by(soft, [run.window], [run.path], [time[::20]]) == [run.window]  # too few poses
 
 
 def test_windows_without_poses_are_left_out(runs):
