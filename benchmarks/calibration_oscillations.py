@@ -25,7 +25,6 @@ from scipy.stats import chi2
 import carosac_toolkit as ct
 from benchmarks.results import write_section
 from calibration import IdentificationSettings, identify_runs
-from calibration.identification.fit import UNSEEN_FIELDS
 from calibration.identification.result import Identification
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -39,7 +38,6 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.parameters import turn_between, values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
@@ -168,13 +166,10 @@ def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
 def _straight(unknowns: Coordinates, at: Array) -> Array:
     """Return coordinates (k,) in which motion is nearly linear, as `Coordinates.moved` has them.
 
-    Factors are themselves, and of a stiffness its inverse, over their prior sigma; what the search
-    cannot see has a prior alone, which is normal in its logarithm.
+    Factors are themselves, and of a stiffness its inverse, over their prior sigma.
     """
-    unseen = [field_of(name) in UNSEEN_FIELDS for name in unknowns.prior.names]
-    told = (unknowns.factor > 0.0) & ~np.array(unseen)
     power, scale = unknowns.power, unknowns.scale
-    return np.where(told, power * np.exp(power * scale * at) / scale, at)
+    return np.where(unknowns.factor > 0.0, power * np.exp(power * scale * at) / scale, at)
 
 
 def _derivative(unknowns: Coordinates, robot: Robot) -> Array:

@@ -21,7 +21,6 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
@@ -50,9 +49,6 @@ STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights th
 SWAY_STRETCHES = (0.3, 1.0, 2.0)
 START_STRETCHES = (1.0, 0.4, 0.1)  # of a step of the starts alone, of which the best is taken
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
-# What damps vibrations of cables alone: where only the sway is seen it stays as known before. A fit
-# would rather damp those of its own start with it.
-UNSEEN_FIELDS = ("axial_damping",)
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -131,9 +127,6 @@ class Fitter:
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
-        if self._sways:  # vibrations are not seen
-            unseen = [field_of(name) in UNSEEN_FIELDS for name in unknowns.prior.names]
-            self._searched[: self._count] &= ~np.array(unseen)
 
     def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
@@ -183,7 +176,6 @@ class Fitter:
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
-        covariance = self._with_unseen(covariance, inverse, state, noise)
         information /= self._axes * excess
         return CoordinateFit(
             coordinates=at[own],
@@ -194,38 +186,6 @@ class Fitter:
             iterations=state.count,
             converged=state.settled,
         )
-
-    def _with_unseen(
-        self, covariance: Array, inverse: Array, state: _Search, noise: PoseErrorNoise
-    ) -> Array:
-        """Return a covariance with what coordinates add that are held where they were (Schmidt).
-
-        They are not told by what is seen, but their being wrong moves what is.
-
-        Args:
-            covariance: Without that.
-            inverse: Of the Hessian.
-            state: Where the search ended.
-            noise: Of the errors there.
-        """
-        held = ~self._searched
-        held[self._count :] = False
-        rows = np.flatnonzero(held)
-        if not (self._sways and len(rows)):
-            return covariance
-        plain = self._slopes(state.at, held, self._time_step)
-        seen = [a + b for a, b in zip(plain, self._missing(state.at, held), strict=True)]
-        moved = np.zeros((len(covariance), len(rows)))
-        for own, errors, jacobian, beside in zip(
-            self._own, state.errors, state.jacobians, seen, strict=True
-        ):
-            weights = noise.weights(errors)
-            moved[own] += np.einsum("nci,nc,ncj->ij", jacobian, weights, beside[:, :, rows])
-        moved = inverse @ moved
-        moved[rows] = -np.eye(len(rows))
-        known = self._unknowns.prior.covariance[np.ix_(rows, rows)]
-        apart = np.where(np.logical_or.outer(held, held), 0.0, covariance)
-        return np.asarray(apart + moved @ known @ moved.T)
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""

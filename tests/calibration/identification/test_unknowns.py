@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
+from benchmarks.calibration_oscillations import SURVEYED, _coordinates, robot_with_pulleys
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
@@ -170,3 +171,11 @@ def test_prior_lengths_grow_with_the_robot(name, unknowns):
             for each in (unknowns, other)
         )  # fmt: skip
         assert its == pytest.approx(ratio * mine)
+
+
+@pytest.mark.parametrize("cables", [3, 4])
+def test_coordinates_of_a_robot_are_those_that_it_was_made_of(cables):
+    unknowns = choose_coordinates(robot_with_pulleys(cables), SURVEYED)
+    at = np.random.default_rng(cables).standard_normal(len(unknowns.prior.names))
+    at = np.maximum(at, unknowns.lower)
+    assert _coordinates(unknowns, unknowns.robot_at(at)) == pytest.approx(at, abs=1e-9)
