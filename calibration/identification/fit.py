@@ -358,19 +358,16 @@ class Fitter:
         if self._sways and not coarse:
             assert not starts, "what is kept is by all that is searched"
             if self._finer is None:  # once: what steps of the search change is of second order
-                self._finer = self._missing(at, searched)
+                halved = self._slopes(at, searched, self._time_step, refined=2)
+                self._finer = [
+                    4.0 / 3.0 * (fine - rough)
+                    for fine, rough in zip(halved, jacobians, strict=True)
+                ]
             jacobians = [each + more for each, more in zip(jacobians, self._finer, strict=True)]
         if alike is not None:
             for each in jacobians:
                 each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
         return jacobians
-
-    def _missing(self, at: Array, searched: NDArray[np.bool_]) -> list[Array]:
-        """Return what derivatives of vanishing time steps have beyond those of `_slopes`."""
-        rough, fine = (
-            self._slopes(at, searched, self._time_step, refined=parts) for parts in (1, 2)
-        )
-        return [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
 
     def _slopes(
         self, at: Array, searched: NDArray[np.bool_], time_step: float, *, refined: int = 1
