@@ -52,13 +52,14 @@ ESTIMATOR = "baselines.dynamic_estimator:DynamicEstimator"
 SUITE = "lengths+imu"
 ROBOTS = ("carosac", "scampi")
 CALM, END = 4.0, 6.0  # [s] after a move: between them its residual sway is measured
+MAIN, OUTER = "fast, centre", "fast, outer 10 %"
 MOVES = {  # shares of the half box that hold both ends of a move; speed, acceleration
-    "fast, centre": (0.0, 0.5, 2.0, 3.0),
-    "fast, outer 10 %": (0.9, 1.0, 2.0, 3.0),
+    MAIN: (0.0, 0.5, 2.0, 3.0),
+    OUTER: (0.9, 1.0, 2.0, 3.0),
 }
+LATE, HELD = 2.0, 10.0  # [s] of which sway is looked at, after so much longer a hold
 SMOOTH = "minimum snap, 1 m/s"
 STILL = "held still"  # where the fast move ends: the sway that the wind makes by itself
-MAIN = "fast, centre"
 WRONG = {
     "as known": {},
     "mass -20 %": {"mass": 0.8},
@@ -69,7 +70,7 @@ WRONG = {
 }
 STEPS = 10_000
 FEWER = 10  # by this factor, where no bar is at stake
-PARTS = ("time", "endurance", "bar", "moves", "sweep")
+PARTS = ("time", "endurance", "bar", "moves", "hold", "sweep")
 KEPT = Path(__file__).parent / "controllers.parts"
 GALE = 0.023  # wind over weight: scampi's 1 N; its cables slacken at 6 N, a sixth of its weight
 
@@ -90,6 +91,7 @@ class Task:
     wind: bool = True
     wrong: str | None = None
     policy: str | None = None
+    held: float = 0.0  # [s] for which it holds still beyond `END`
 
 
 def path_of(task: Task, robot: Robot) -> Trajectory:
@@ -153,12 +155,13 @@ def score(task: Task) -> dict[str, Any]:
     driver, estimator, controller = make(task, robot, path)
     clock = Clock(controller)
     try:
-        log = run(driver, estimator, clock, path, duration=path.duration + END)
+        log = run(driver, estimator, clock, path, duration=path.duration + END + task.held)
     except CarosacError as failure:
         return {"task": task, "failed": str(failure)[:120]}
     assert log.position is not None and log.tension is not None
     error = np.linalg.norm(log.position - log.reference, axis=2)[:, 0]
     calm = log.position[log.time >= path.duration + CALM, 0]
+    late = log.position[log.time >= log.time[-1] - LATE, 0]
     later = log.time > 0.5  # the first command meets the encoder bias
     tension = log.tension[later, 0]
     fallbacks = controller.fallbacks if isinstance(controller, FallbackSource) else {}
@@ -166,6 +169,7 @@ def score(task: Task) -> dict[str, Any]:
         "task": task,
         "rmse": float(np.sqrt((error**2).mean())),
         "sway": float(np.sqrt(((calm - calm.mean(axis=0)) ** 2).sum(axis=1).mean())),
+        "late": float(np.sqrt(((late - late.mean(axis=0)) ** 2).sum(axis=1).mean())),
         "rest": float(np.linalg.norm(calm.mean(axis=0) - log.reference[-1, 0])),
         "believed": float(np.sqrt(((log.belief_position - log.position) ** 2).sum(2).mean())),
         "low": float((robot.tension_min - tension).max()),
@@ -255,7 +259,7 @@ def degradation(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> str:
     for robot in ROBOTS:
         for name in names:
             found = []
-            for path in (MAIN, "fast, outer 10 %"):
+            for path in (MAIN, OUTER):
                 found.append([r for r in rows if r["task"].robot == robot and r["task"].wind
                               and r["task"].controller == name and r["task"].path == path
                               and r["task"].estimator == ESTIMATOR])  # fmt: skip
@@ -475,6 +479,30 @@ def sweep_part(pool: Any, names: Sequence[str], seeds: int) -> str:
     return "![Tracking error and sway with wrong parameters](controllers_sweep.png)" + ended(rows)
 
 
+def hold_part(pool: Any, seeds: int) -> str:
+    """Holding still for long near a face of the box, where a cable hardly pulls."""
+    names = ("kinematic_solver", "input_shaping", "mpc")
+    tasks = [
+        Task(robot=robot, controller=name, path=OUTER, seed=seed, held=HELD)
+        for robot in ROBOTS for name in names for seed in range(seeds)
+    ]  # fmt: skip
+    rows = all_of(pool, tasks)
+    lines = []
+    for robot in ROBOTS:
+        for name in names:
+            late = [
+                1e3 * r["late"] for r in rows
+                if "late" in r and (r["task"].robot, r["task"].controller) == (robot, name)
+            ]  # fmt: skip
+            lines.append((robot, name, str(len(late)), f"{np.median(late):.1f}",
+                          f"{np.quantile(late, 0.9):.1f}", f"{max(late):.1f}"))  # fmt: skip
+    header = ("robot", "controller", "seeds", "median [mm]", "90 % [mm]", "worst [mm]")
+    return (
+        f"Holding still in the wind near a face of the box, {END + HELD:g} s after a fast move; "
+        f"sway in the last {LATE:g} s:\n\n{table(header, lines)}{ended(rows)}"
+    )
+
+
 def endurance_part(pool: Any, steps: int) -> str:
     """Many commands to random targets."""
     header = ("robot", "commands", "unhandled", "failures", "fallbacks", "plans over a soft limit",
@@ -517,6 +545,7 @@ def main() -> None:
             "endurance": partial(endurance_part, pool, asked.steps),
             "bar": partial(bar_part, pool, asked.seeds),
             "moves": partial(moves_part, pool, names, asked.seeds),
+            "hold": partial(hold_part, pool, asked.seeds),
             "sweep": partial(sweep_part, pool, names, asked.seeds),
         }
         for part in asked.parts:
