@@ -151,7 +151,7 @@ class Fitter:
     def finish(self, coordinates: Array, report: ProgressCallback) -> CoordinateFit:
         """Search with all poses from coordinates (k,) to which `approach` led; see `run`."""
         self._first = np.concatenate([coordinates, self._first[self._count :]])
-        return self._settled(self._started(), report)
+        return self._settled(self._started(POSE_SHARES[:-1]), report)
 
     def _approached(self, report: ProgressCallback) -> Array:
         """Return all coordinates to which ever more of the poses lead."""
@@ -463,22 +463,26 @@ class Fitter:
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
-    def _started(self) -> Array:
+    def _started(self, shares: Sequence[float] = POSE_SHARES[:1]) -> Array:
         """Return where a search begins; each run that starts before its poses does as suits it.
 
         The first guess of such a start is rough: the first poses mend it, before all is searched.
+        Beside a robot that is nearly found, more of them do.
         """
         at = self._first
         if not self._sways:
             return at
         whole = self._runs
-        self._runs = tuple(run.first(POSE_SHARES[0]) for run in whole)
-        errors = self._errors_at(at)
-        for _ in range(STARTS_STEPS_MAX):
-            before = at
-            at, errors = self._restarted(at, errors, estimate_noise(errors))
-            if (at == before).all():
-                break
+        least = SETTLED_DECREASE * (len(at) - self._count)
+        for share in shares:
+            self._runs = tuple(run.first(share) for run in whole)
+            errors = self._errors_at(at)
+            for _ in range(STARTS_STEPS_MAX):
+                noise = estimate_noise(errors)
+                before = self._cost(at, errors, noise)
+                at, errors = self._restarted(at, errors, noise)
+                if before - self._cost(at, errors, noise) <= least:
+                    break
         self._runs = whole
         return at
 
