@@ -52,12 +52,12 @@ ESTIMATOR = "baselines.dynamic_estimator:DynamicEstimator"
 SUITE = "lengths+imu"
 ROBOTS = ("carosac", "scampi")
 CALM, END = 4.0, 6.0  # [s] after a move: between them its residual sway is measured
+LATE, HELD = 2.0, 10.0  # [s] of which sway is looked at, after so much longer a hold
 MAIN, OUTER = "fast, centre", "fast, outer 10 %"
 MOVES = {  # shares of the half box that hold both ends of a move; speed, acceleration
     MAIN: (0.0, 0.5, 2.0, 3.0),
     OUTER: (0.9, 1.0, 2.0, 3.0),
 }
-LATE, HELD = 2.0, 10.0  # [s] of which sway is looked at, after so much longer a hold
 SMOOTH = "minimum snap, 1 m/s"
 STILL = "held still"  # where the fast move ends: the sway that the wind makes by itself
 WRONG = {
@@ -168,8 +168,8 @@ def score(task: Task) -> dict[str, Any]:
     return {
         "task": task,
         "rmse": float(np.sqrt((error**2).mean())),
-        "sway": float(np.sqrt(((calm - calm.mean(axis=0)) ** 2).sum(axis=1).mean())),
-        "late": float(np.sqrt(((late - late.mean(axis=0)) ** 2).sum(axis=1).mean())),
+        "sway": sway_of(calm),
+        "late": sway_of(late),
         "rest": float(np.linalg.norm(calm.mean(axis=0) - log.reference[-1, 0])),
         "believed": float(np.sqrt(((log.belief_position - log.position) ** 2).sum(2).mean())),
         "low": float((robot.tension_min - tension).max()),
@@ -182,6 +182,11 @@ def score(task: Task) -> dict[str, Any]:
         "cycles": len(log.time),
         "latency": clock.cpu[5:],
     }  # fmt: skip
+
+
+def sway_of(position: Array) -> float:
+    """RMS distance of positions (K, 3) from their mean."""
+    return float(np.sqrt(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def mean(rows: Iterable[dict[str, Any]], name: str) -> float:

@@ -150,12 +150,12 @@ class Fitter:
 
     def finish(self, coordinates: Array, report: ProgressCallback) -> CoordinateFit:
         """Search with all poses from coordinates (k,) to which `approach` led; see `run`."""
-        self._first = np.concatenate([coordinates, self._first[self._count :]])
-        return self._settled(self._started(POSE_SHARES[:-1]), report)
+        first = np.concatenate([coordinates, self._first[self._count :]])
+        return self._settled(self._started(first, POSE_SHARES[:-1]), report)
 
     def _approached(self, report: ProgressCallback) -> Array:
         """Return all coordinates to which ever more of the poses lead."""
-        whole, at = self._runs, self._started()
+        whole, at = self._runs, self._started(self._first)
         shares = SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES
         for share in shares[:-1]:
             self._runs = tuple(run.first(share) for run in whole)
@@ -189,7 +189,7 @@ class Fitter:
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
-        at = self._started()
+        at = self._started(self._first)
         self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(at, None, lambda poses, position, rotation: None)
         return self._starts(state.at)
@@ -463,13 +463,12 @@ class Fitter:
             damping *= 5.0
         return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
 
-    def _started(self, shares: Sequence[float] = POSE_SHARES[:1]) -> Array:
+    def _started(self, at: Array, shares: Sequence[float] = POSE_SHARES[:1]) -> Array:
         """Return where a search begins; each run that starts before its poses does as suits it.
 
         The first guess of such a start is rough: the first poses mend it, before all is searched.
         Beside a robot that is nearly found, more of them do.
         """
-        at = self._first
         if not self._sways:
             return at
         whole = self._runs

@@ -202,7 +202,8 @@ def _identify(
     unknowns = choose_coordinates(robot, chosen)
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
-    windows = _windows(parts, robot, poses, rests)
+    times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
+    windows = _windows(parts, robot, times, rests)
 
     prepare = partial(_prepare, parts, robot, poses, chosen, paths, rests)
     runs = prepare(windows)
@@ -213,9 +214,6 @@ def _identify(
     fitter = Fitter(unknowns, trained, chosen)
     if any(windows):
         nearly = fitter.approach(report)
-        times = [
-            each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)
-        ]
         windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
         runs = prepare(windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
@@ -299,10 +297,7 @@ def _some(runs: Sequence[_Run], which: str) -> list[int]:
 
 
 def _windows(
-    parts: Sequence[_Part],
-    robot: Robot,
-    poses: Sequence[MeasuredPoses],
-    rests: Sequence[Equilibrium],
+    parts: Sequence[_Part], robot: Robot, times: Sequence[Array], rests: Sequence[Equilibrium]
 ) -> list[float]:
     """Return over which times errors are averaged [s]; 0: not, as where there are few recordings.
 
@@ -312,10 +307,7 @@ def _windows(
     trained = [part.train is not None for part in parts]
     if sum(trained) < RUNS_APART_MIN:
         return none
-    windows = [
-        slow_window(robot, rest, each.within(*_fitted_span(part)).time)
-        for part, each, rest in zip(parts, poses, rests, strict=True)
-    ]
+    windows = [slow_window(robot, rest, time) for time, rest in zip(times, rests, strict=True)]
     return windows if all(np.array(windows)[trained]) else none
 
 
