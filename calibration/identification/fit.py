@@ -31,6 +31,7 @@ MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
 SETTLED_DECREASE = 0.1
+PART_DECREASE = 1.0  # of many recordings, where only a part of the poses leads on
 POSE_SHARES = (
     0.15,
     0.4,
@@ -208,9 +209,11 @@ class Fitter:
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
         damping, settled = DAMPING_START, False
-        coarse = steps is not None or not self._sways  # of sways, exact ones cost little more
+        alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
+        coarse = steps is not None or not (self._sways and alone)
         errors = self._errors_at(at)
-        least = SETTLED_DECREASE * (self._count if self._many else self._axes)
+        share = PART_DECREASE if steps and self._many else SETTLED_DECREASE
+        least = share * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
@@ -230,13 +233,16 @@ class Fitter:
                 if steps is not None or not coarse:
                     break
                 coarse = False
+            if self._sways and steps is None:  # exact ones are kept: not those of the first step
+                coarse = False
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:
         """Return by how much scores vary more than independent ones.
 
-        Many recordings tell it by themselves: one is independent of the others. In a few, scores of
-        long stretches tell what lasts for less than these; what lasts longer shows in all axes.
+        Many recordings tell it by themselves: one is independent of the others. Their errors are
+        smaller than noise by what was fitted to them. In a few, scores of long stretches tell what
+        lasts for less than these; what lasts longer shows in all axes.
         """
         sums = []
         for run, own, errors, jacobian in zip(
@@ -251,15 +257,18 @@ class Fitter:
             whole[:, own] = parts
             sums.append(whole)
         stretches = np.concatenate(sums)
+        whole_inverse = np.linalg.inv(information + self._precision)
         if self._many:  # the score of each start has vanished with its run
             left, shared = self._marginal(information), stretches[:, : self._count]
             inverse = np.linalg.inv(left + self._precision[: self._count, : self._count])
             spread = float(np.einsum("bi,ij,bj->", shared, inverse, shared))
             count = len(stretches)
-            return max(1.0, spread * count / (count - 1) / float(np.trace(inverse @ left)))
-        inverse = np.linalg.inv(information + self._precision)
-        spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
-        return max(1.0, spread / float(np.trace(inverse @ information)))
+            fitted = float(np.trace(whole_inverse @ information))
+            total = sum(each.size for each in state.errors)
+            least = total / max(total - fitted, 1.0)
+            return max(least, spread * count / (count - 1) / float(np.trace(inverse @ left)))
+        spread = float(np.einsum("bi,ij,bj->", stretches, whole_inverse, stretches))
+        return max(1.0, spread / float(np.trace(whole_inverse @ information)))
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""

@@ -32,6 +32,7 @@ from calibration.identification.runs import (
     FittedRun,
     fastest_sway,
     is_locked,
+    leading_time,
     slow_window,
     time_before,
     windows_by,
@@ -357,12 +358,13 @@ def _prepared(
     If winches are locked until vibrations have died out, poses count from there on, and it begins
     `early` seconds before.
     """
-    before = left_out = 0.0
+    before = left_out = leading = 0.0
     if window:
         calm = without_ringing(poses, window, fastest_sway(robot, rest))
         if is_locked(path, max(calm.time[0], path.first + early)):
             left_out = float(calm.time[0] - poses.time[0])
             poses, before = calm, early
+            leading = leading_time(early, calm)
     recording = part.recording
     first = first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
@@ -371,7 +373,7 @@ def _prepared(
     sway = find_sway(robot, rest, poses, moves=first.moves, before=before)
     fitted = FittedRun(
         path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
-        window=window,
+        window=window, leading=leading,
     )  # fmt: skip
     return _Run(part=part, poses=poses, left_out=left_out, first=first, fitted=fitted)
 

@@ -34,6 +34,8 @@ CHANCE = 1e-5  # that noise alone scatters so much in a window
 CALM_WINDOWS = 4  # in a row, as many a window: vibrations have died out
 RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
 PERIODS_BEFORE = 0.5  # of the slowest sway
+LEADING_RATIO = 2.0  # of that time, for which poses lead the search and do not count: a sway
+LEADING_SHARE_MAX = 0.3  # of the poses
 LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
 LOCKED_TIMES = 11  # at which that is looked at
 COVERED_SHARE_MIN = 0.5  # of the weight of a window that poses must have
@@ -49,6 +51,7 @@ class FittedRun:
         rate: Of poses that are fitted, of all of them [Hz].
         sway: Unknown motion at the start.
         window: Time over which errors are averaged [s]; 0: none.
+        leading: Time at first whose poses lead the search, and do not count at its end [s].
     """
 
     path: LengthPath
@@ -56,6 +59,7 @@ class FittedRun:
     rate: float
     sway: FreeSway
     window: float = 0.0
+    leading: float = 0.0
 
     @property
     def begin(self) -> float:
@@ -63,16 +67,18 @@ class FittedRun:
         return self.path.first if self.sway.begin is None else self.sway.begin
 
     def first(self, share: float) -> FittedRun:
-        """Return the run with the poses of a share of it, from the first.
+        """Return the run with the poses of a share of it, from the first; 1: with all that count.
 
         Where errors are averaged nearly all poses count. Otherwise as many as are fitted of the
         whole, if they were measured so often: vibrations are followed from their beginning.
         """
         time = self.poses.time
-        rows = np.flatnonzero(time <= time[0] + share * (time[-1] - time[0]))
+        leading = self.leading if share == 1.0 else 0.0
+        span = time - time[0]
+        rows = np.flatnonzero((span >= leading) & (span <= share * span[-1]))
         poses = self.poses.rows(rows)
         rate = WINDOW_POSES_MAX / self.window if self.window else self.rate / share
-        return replace(self, poses=poses.thinned(rate))
+        return replace(self, poses=poses.thinned(rate), leading=self.leading - leading)
 
     def seen(self, errors: Array) -> Array:
         """Return errors (K, 6) of all poses as a fit sees them, shape (K', 6)."""
@@ -157,6 +163,20 @@ def time_before(robot: Robot, rest: Equilibrium) -> float:
     Dry friction remembers how a platform moved before. Half a sway leaves it what it remembers.
     """
     return PERIODS_BEFORE / float(natural_frequencies(robot, rest)[0, 0])
+
+
+def leading_time(before: float, poses: MeasuredPoses) -> float:
+    """Return for how long poses at first lead a search, and do not count at its end [s].
+
+    Vibrations that noise hides shake dry friction loose, and dry friction that has not slid
+    remembers for longer than half a sway how it was bent.
+
+    Args:
+        before: Time for which the recording is simulated before its first pose [s].
+        poses: Measured ones, once vibrations have died out as far as is seen.
+    """
+    most = LEADING_SHARE_MAX * float(poses.time[-1] - poses.time[0])
+    return min(LEADING_RATIO * before, most)
 
 
 def is_locked(path: LengthPath, last: float) -> bool:

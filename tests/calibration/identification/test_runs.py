@@ -21,6 +21,7 @@ from calibration.identification.open_loop import (
 from calibration.identification.runs import (
     FittedRun,
     is_locked,
+    leading_time,
     slow_window,
     time_before,
     windows_by,
@@ -146,6 +147,20 @@ def test_windows_without_poses_are_left_out(runs):
     whole = run.seen(np.tile(time[:, None], (1, 6)))[:, 0]
     assert 0 < len(slope) < len(whole)
     assert np.abs(slope[:, None] - whole).min(axis=1).max() < 0.25 * run.window
+
+
+def test_poses_at_first_lead_the_search_and_do_not_count(runs):
+    run = runs[0]
+    time = run.poses.time
+    late = replace(run, leading=0.3)
+    assert late.first(0.15).poses.time[0] == late.first(0.4).poses.time[0] == time[0]
+    counted = late.first(1.0)
+    assert counted.poses.time[0] == pytest.approx(time[0] + 0.3, abs=1.0 / RATE)
+    assert counted.first(1.0).poses.time[0] == counted.poses.time[0]
+    assert counted.begin == run.begin
+    span = time[-1] - time[0]
+    assert leading_time(0.1 * span, run.poses) == pytest.approx(0.2 * span)
+    assert leading_time(span, run.poses) == pytest.approx(0.3 * span)
 
 
 def test_many_poses_are_thinned(runs):
