@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars learning docs docs-commands linkcheck clean
+.PHONY: help setup demo test test-slow lint bench bars learning docs docs-commands linkcheck clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,9 +31,13 @@ $(STAMP): pyproject.toml constraints.txt
 demo: $(STAMP)  ## compare five controllers on one fast move, with an animation and a report
 	@$(BIN)/carosac compare --seeds 6 --animation kinematic_solver mpc td3 --output $(RESULTS)/demo
 
-test: $(STAMP)  ## run the whole test suite
+test: $(STAMP)  ## run the test suite
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not slow"
+
+test-slow: $(STAMP)  ## run the tests that `test` leaves out, some minutes
+	@$(BIN)/python -m tests.warm_kernels
+	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m slow
 
 lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check

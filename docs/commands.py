@@ -2,8 +2,8 @@
 
 ``python docs/commands.py`` runs them all, those of each page in a scratch folder of its own, some
 with shorter settings (`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The
-tests run those of `QUICK`. Files that a reader brings (a survey, a run, a bag) are made by `bring`;
-results of the reader's own that some commands show, by `make`.
+tests run those of `QUICK` of two pages. Files that a reader brings (a survey, a run, a bag) are
+made by `bring`; results of the reader's own that some commands show, by `make`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ROOT = DOCS.parent
 LONGEST = 1200  # [s] that a command may take
 PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("notebooks/*.ipynb")))
 
-# Run in the tests; they take a second or so each, in one process.
+# Run in one process in the tests, those of two pages; they take a second or so each.
 QUICK = ("calibrate", "check", "import", "robots", "validate")
 
 # Options that are put in place of the page's, or added, so that a run takes seconds.

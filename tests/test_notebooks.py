@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 import notebooks  # noqa: E402
 
 CELLS_MAX = 25
+LONGEST = "calibrate"
 ARTIFACTS = os.environ.get("CAROSAC_ARTIFACTS")  # folder, or None
 
 
@@ -46,7 +47,14 @@ def test_notebook_is_short_and_has_no_outputs(path):
     assert [c.execution_count for c in code if c.outputs or c.execution_count is not None] == []
 
 
-@pytest.mark.parametrize("path", notebooks.NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.slow) if path.stem == LONGEST else path
+        for path in notebooks.NOTEBOOKS
+    ],
+    ids=lambda path: path.stem,
+)
 def test_notebook_runs_without_the_command_on_the_path(path, monkeypatch):
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     executed = notebooks.execute(path)

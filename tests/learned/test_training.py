@@ -184,7 +184,9 @@ def stopped_at(steps, number, folder):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
     """In another process, as a batch system does it; the second time at its very end."""
     train(job(), tmp_path / "whole")

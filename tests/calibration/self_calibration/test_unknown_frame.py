@@ -119,6 +119,7 @@ def test_a_worse_source_of_the_scale_makes_a_worse_scale():
     assert any("measured distance" in line for line in sharp.sentences())
 
 
+@pytest.mark.slow
 def test_sigmas_without_known_positions_are_honest():
     squares, places = [], []
     runs = 6
@@ -542,6 +543,7 @@ def rigid_scene(seed, count=60, line=1e-4):
     return before, truth, place, rotation, angles
 
 
+@pytest.mark.slow
 def test_eight_cables_tell_the_rotations_of_a_platform_too():
     squares = []
     for seed in range(2):

@@ -68,6 +68,7 @@ def weight_error(result, truth):
     return float(away @ np.linalg.solve(covariance, away)), size - 1
 
 
+@pytest.mark.slow
 def test_exit_points_are_as_wrong_in_the_true_vertical_as_they_claim():
     squares = []
     for seed in (0, 1, 2, 3, 8, 9, 13, 15):
