@@ -107,9 +107,9 @@ class Score:
 def score(
     unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
 ) -> Score:
-    """Compare an identified robot with the true one, in what the search takes its steps of.
+    """Compare an identified robot with the true one, in what motion is nearly linear in.
 
-    A Gaussian is right for that, as motion is nearly linear in it. Parameters that make up for each
+    A Gaussian is right for that. Parameters that make up for each
     other, such as a stiffness and the offset of a length, are known along a curve.
     """
     estimate = result.estimate
@@ -164,12 +164,18 @@ def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
 
 
 def _straight(unknowns: Coordinates, at: Array) -> Array:
-    """Return coordinates (k,) in which motion is nearly linear, as `Coordinates.moved` has them.
+    """Return coordinates (k,) in which motion is nearly linear, over their prior sigma.
 
-    Factors are themselves, and of a stiffness its inverse, over their prior sigma.
+    It depends on forces and on spreads of mass over the platform's mass, which is told by nothing.
+    Factors of these ratios are themselves, and of a stiffness its inverse.
     """
+    assert unknowns.alike is not None, "no force and no mass is held"
+    mass = unknowns.prior.names.index("mass")
+    ratio = at - unknowns.alike * (at[mass] / unknowns.alike[mass])
     power, scale = unknowns.power, unknowns.scale
-    return np.where(unknowns.factor > 0.0, power * np.exp(power * scale * at) / scale, at)
+    straight = np.where(unknowns.factor > 0.0, power * np.exp(power * scale * ratio) / scale, ratio)
+    straight[mass] = at[mass]
+    return np.asarray(straight)
 
 
 def _derivative(unknowns: Coordinates, robot: Robot) -> Array:
