@@ -85,8 +85,8 @@ class Score:
         tilt: [rad].
         center: Of mass [m].
         nees: Normalised squared error of the parameters, over their number [1].
-        beyond: Parameters that are off by more than three of their sigmas.
-        worst: The worst of them.
+        beyond: Coordinates of nearly linear motion that are off by more than three sigmas.
+        worst: The worst of them, by the parameter that it is of.
         count: How many parameters were identified.
         seconds: Time of processors [s].
         wall: Time by the clock on two cores [s]; None: it ran on one.
@@ -107,7 +107,7 @@ class Score:
 def score(
     unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
 ) -> Score:
-    """Compare an identified robot with the true one, in what motion is nearly linear in.
+    """Compare an identified robot with the true one, in coordinates of nearly linear motion.
 
     A Gaussian is right for that. Parameters that make up for each
     other, such as a stiffness and the offset of a length, are known along a curve.
@@ -164,17 +164,19 @@ def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
 
 
 def _straight(unknowns: Coordinates, at: Array) -> Array:
-    """Return coordinates (k,) in which motion is nearly linear, over their prior sigma.
+    """Return coordinates (k,) in which motion is nearly linear.
 
-    It depends on forces and on spreads of mass over the platform's mass, which is told by nothing.
-    Factors of these ratios are themselves, and of a stiffness its inverse.
+    Factors are themselves, and of a stiffness its inverse. Where none is held, motion depends on
+    forces and spreads of mass over the platform's mass alone: then factors are of these ratios.
     """
-    assert unknowns.alike is not None, "no force and no mass is held"
-    mass = unknowns.prior.names.index("mass")
-    ratio = at - unknowns.alike * (at[mass] / unknowns.alike[mass])
+    ratio, mass = at, None
+    if unknowns.alike is not None:
+        mass = unknowns.prior.names.index("mass")
+        ratio = at - unknowns.alike * (at[mass] / unknowns.alike[mass])
     power, scale = unknowns.power, unknowns.scale
     straight = np.where(unknowns.factor > 0.0, power * np.exp(power * scale * ratio) / scale, ratio)
-    straight[mass] = at[mass]
+    if mass is not None:
+        straight[mass] = at[mass]
     return np.asarray(straight)
 
 

@@ -2,7 +2,7 @@
 
 ``python docs/commands.py`` runs them all, those of each page in a scratch folder of its own, some
 with shorter settings (`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The
-tests run those of `QUICK` of two pages. Files that a reader brings (a survey, a run, a bag) are
+tests run those of `QUICK` of three pages. Files that a reader brings (a survey, a run, a bag) are
 made by `bring`; results of the reader's own that some commands show, by `make`.
 """
 
@@ -33,7 +33,7 @@ ROOT = DOCS.parent
 LONGEST = 1200  # [s] that a command may take
 PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("notebooks/*.ipynb")))
 
-# Run in one process in the tests, those of two pages; they take a second or so each.
+# Run in one process in the tests, those of three pages; they take a second or so each.
 QUICK = ("calibrate", "check", "import", "robots", "validate")
 
 # Options that are put in place of the page's, or added, so that a run takes seconds.

@@ -1,4 +1,4 @@
-"""Every ``carosac`` command in README and docs is understood; those of two pages run.
+"""Every ``carosac`` command in README and docs is understood; those of three pages run.
 
 ``make docs-commands`` runs all of them.
 """
@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 import commands  # noqa: E402
 
 ALL = commands.written()
-PAGES = ("interchange", "tutorial-robot")
+PAGES = ("interchange", "tutorial-robot")  # whose programs run too
 
 
 def command_of(words):
@@ -66,10 +66,10 @@ def test_synopses_name_options_that_there_are(command, capsys):
     assert set(re.findall(r"--[a-z][a-z-]+", command.text)) <= known
 
 
-def test_quick_commands_of_two_pages_run(tmp_path, monkeypatch, quick_pictures):
+def test_quick_commands_of_three_pages_run(tmp_path, monkeypatch, quick_pictures):
     monkeypatch.chdir(tmp_path)
     commands.bring(tmp_path)
-    pages = [f"{page}.md" for page in PAGES]
+    pages = [f"{page}.md" for page in (*PAGES, "calibration-lengths")]
     quick = [c for c in commands.to_run(commands.QUICK) if c.page in pages]
     assert {c.page for c in quick} == set(pages)
     assert commands.run_all(main, quick) == []

@@ -190,7 +190,7 @@ class Fitter:
 
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
-        at = self._started(self._first)
+        at = self._started(self._first, POSE_SHARES[:-1])
         self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(at, None, lambda poses, position, rotation: None)
         return self._starts(state.at)
@@ -215,6 +215,7 @@ class Fitter:
         share = PART_DECREASE if steps and self._many else SETTLED_DECREASE
         least = share * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
+            final = steps is not None or not coarse  # derivatives, with which it may end
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = estimate_noise(errors)
@@ -230,11 +231,12 @@ class Fitter:
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
             if settled or stuck:
-                if steps is not None or not coarse:
+                if final:
                     break
                 coarse = False
             if self._sways and steps is None:  # exact ones are kept: not those of the first step
                 coarse = False
+        settled &= final
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:

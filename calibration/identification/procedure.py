@@ -40,7 +40,7 @@ from calibration.identification.runs import (
 )
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
-from calibration.identification.unknowns import choose_coordinates
+from calibration.identification.unknowns import Coordinates, choose_coordinates
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -117,7 +117,7 @@ def identify_runs(
     """Fit one robot to the poses of several recordings; see `identify`.
 
     Each recording begins with a motion of its own, at its first sample or, of ten or more in which
-    sway and vibrations are apart, half a sway before the first pose that counts. Short free
+    sway and vibrations are apart, half a sway before the first pose that is looked at. Short free
     oscillations with locked winches will do, from different places and in different directions.
 
     Args:
@@ -177,8 +177,8 @@ class _Run:
 
     Attributes:
         part: What is to be done with it.
-        poses: All measured ones that count, in W.
-        left_out: Time at first whose poses do not count [s].
+        poses: All measured ones that lead a search or count, in W.
+        left_out: Time at first whose poses do neither [s].
         first: Speed at the first samples.
         fitted: What a fit sees.
     """
@@ -224,8 +224,7 @@ def _identify(
         fit = fitter.run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts]
-    if kept:
-        starts += Fitter(unknowns, kept, chosen, robot_at=fit.coordinates).starts()
+    starts += _starts(unknowns, kept, chosen, fit.coordinates)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
@@ -264,6 +263,19 @@ def _identify(
         nees=None if judged is None else judged.nees,
         fitted_samples=sum(len(run.first(1.0).poses.time) for run in trained),
     )
+
+
+def _starts(
+    unknowns: Coordinates, runs: Sequence[FittedRun], settings: IdentificationSettings, at: Array
+) -> list[Array]:
+    """Return starts of recordings held out of the fit; those without a window are apart."""
+    found: dict[int, Array] = {}
+    for averaged in (True, False):
+        rows = [r for r, run in enumerate(runs) if bool(run.window) == averaged]
+        if rows:
+            fitter = Fitter(unknowns, [runs[r] for r in rows], settings, robot_at=at)
+            found |= dict(zip(rows, fitter.starts(), strict=True))
+    return [found[r] for r in range(len(runs))]
 
 
 def _model_error(
@@ -355,8 +367,8 @@ def _prepared(
 ) -> _Run:
     """Find how a recording begins, and what of it a fit sees, averaged over a window [s].
 
-    If winches are locked until vibrations have died out, poses count from there on, and it begins
-    `early` seconds before.
+    If winches are locked until vibrations have died out, it begins `early` seconds before that.
+    Poses lead the search from then on, and a while later they count.
     """
     before = left_out = leading = 0.0
     if window:

@@ -175,7 +175,7 @@ class IdentifiedRun:
         test: Samples that were not; None where none were kept back.
         rests: Mean poses while the winches rest.
         first_motion: Sway at the start of its simulation.
-        left_out: Time at first whose poses do not count, as cables vibrated [s].
+        left_out: Time at first that is not looked at, as cables vibrated [s].
         measured: All other measured poses, K of them, in W.
         position_before: Of the robot as it was known [m], shape (K, 3).
         position_after: Of the identified robot [m], shape (K, 3).

@@ -175,7 +175,7 @@ def leading_time(before: float, poses: MeasuredPoses) -> float:
         before: Time for which the recording is simulated before its first pose [s].
         poses: Measured ones, once vibrations have died out as far as is seen.
     """
-    most = LEADING_SHARE_MAX * float(poses.time[-1] - poses.time[0])
+    most = float(np.quantile(poses.time, LEADING_SHARE_MAX) - poses.time[0])
     return min(LEADING_RATIO * before, most)
 
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from benchmarks.calibration_oscillations import SURVEYED, draw_plant, robot_with_pulleys
+from benchmarks.calibration_oscillations import (
+    SURVEYED,
+    _straight,
+    draw_plant,
+    robot_with_pulleys,
+)
+from calibration.identification import procedure
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -157,10 +164,43 @@ def test_poses_at_first_lead_the_search_and_do_not_count(runs):
     counted = late.first(1.0)
     assert counted.poses.time[0] == pytest.approx(time[0] + 0.3, abs=1.0 / RATE)
     assert counted.first(1.0).poses.time[0] == counted.poses.time[0]
-    assert counted.begin == run.begin
     span = time[-1] - time[0]
     assert leading_time(0.1 * span, run.poses) == pytest.approx(0.2 * span)
     assert leading_time(span, run.poses) == pytest.approx(0.3 * span)
+    rows = np.append(np.arange(len(time) // 4), len(time) - 1)  # a gap takes no poses from the rest
+    assert leading_time(span, run.poses.rows(rows)) < 0.1 * span
+
+
+def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
+    settings = resolved(IdentificationSettings(), Scales(plant).ratios)
+    short = OscillationSettings(count=2, duration=3.0, time_step=0.01)
+    still, other = simulate_oscillations(plant, 3, short)
+    wound = other.unstrained_length + 0.1 * other.time[:, None]
+    recordings = [still, replace(other, unstrained_length=wound)]
+    parts = [
+        procedure._Part(name=name, recording=each, train=(0, len(each.time)), test=None)
+        for name, each in zip(("still", "wound"), recordings, strict=True)
+    ]
+    paths = [LengthPath(each) for each in recordings]
+    rests = [first_equilibrium(plant, path) for path in paths]
+    poses = [poses_of(each) for each in recordings]
+    windows = [slow_window(plant, rest, each.time) for rest, each in zip(rests, poses, strict=True)]
+    prepare = partial(procedure._prepare, parts, plant, poses, settings, paths, rests)
+    locked, moving = (run.fitted for run in prepare(windows))
+    assert locked.leading > 0.2 and locked.begin < locked.poses.time[0]
+    assert moving.leading == 0.0 and moving.begin == moving.path.first
+    assert [run.fitted.leading for run in prepare([0.0, 0.0])] == [0.0, 0.0]
+
+
+def test_coordinates_of_nearly_linear_motion_do_not_know_the_unit_of_force(plant):
+    """Along all forces and masses only the mass itself changes."""
+    unknowns = choose_coordinates(plant, SURVEYED)
+    at = 0.3 * np.random.default_rng(0).standard_normal(len(unknowns.prior.names))
+    change = _straight(unknowns, at + 0.5 * unknowns.alike) - _straight(unknowns, at)
+    mass = unknowns.prior.names.index("mass")
+    assert np.abs(np.delete(change, mass)).max() < 1e-9 < change[mass]
+    held = choose_coordinates(plant, replace(SURVEYED, mass=0.0))
+    assert np.isfinite(_straight(held, np.zeros(len(held.prior.names)))).all()
 
 
 def test_many_poses_are_thinned(runs):
