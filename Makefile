@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 RESULTS := carosac-results
 JOBS ?= 2
+PYTEST := $(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-slow lint bench bars learning docs docs-commands linkcheck clean
@@ -33,11 +34,11 @@ demo: $(STAMP)  ## compare five controllers on one fast move, with an animation 
 
 test: $(STAMP)  ## run the test suite
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-slow: $(STAMP)  ## run the tests that `test` leaves out, some minutes
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m slow
+	$(PYTEST) -m slow
 
 lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check

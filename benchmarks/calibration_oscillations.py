@@ -109,8 +109,8 @@ def score(
 ) -> Score:
     """Compare an identified robot with the true one, in coordinates of nearly linear motion.
 
-    A Gaussian is right for that. Parameters that make up for each
-    other, such as a stiffness and the offset of a length, are known along a curve.
+    A Gaussian is right for these. Parameters that make up for each other, such as a stiffness and
+    the offset of a length, are known along a curve.
     """
     estimate = result.estimate
     slope = _derivative(unknowns, result.robot)
@@ -166,8 +166,8 @@ def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
 def _straight(unknowns: Coordinates, at: Array) -> Array:
     """Return coordinates (k,) in which motion is nearly linear.
 
-    Factors are themselves, and of a stiffness its inverse. Where none is held, motion depends on
-    forces and spreads of mass over the platform's mass alone: then factors are of these ratios.
+    Factors are themselves, and of a stiffness its inverse. Where no force and no mass is held,
+    motion depends only on their ratios to the platform's mass: then factors are of these ratios.
     """
     ratio, mass = at, None
     if unknowns.alike is not None:

@@ -19,7 +19,7 @@ DOT = bytes.fromhex(  # a picture of one pixel
 
 SLOW = (  # files that begin first, so that no worker is left alone with one of them
     "test_unknown_frame.py", "test_training.py", "test_notebooks.py", "test_examples.py",
-    "test_many_runs.py", "test_docs_commands.py",
+    "test_many_runs.py",
 )  # fmt: skip
 
 

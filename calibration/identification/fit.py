@@ -31,7 +31,7 @@ MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
 SETTLED_DECREASE = 0.1
-PART_DECREASE = 1.0  # of many recordings, where only a part of the poses leads on
+PART_DECREASE = 1.0  # the same of many recordings, with only a part of the poses
 POSE_SHARES = (
     0.15,
     0.4,
@@ -171,9 +171,9 @@ class Fitter:
         at = state.at
         noise = estimate_noise(state.errors)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
-        excess = self._excess(state, noise, information)
-        own = slice(self._count)
         inverse = np.linalg.inv(information + self._precision)
+        excess = self._excess(state, noise, information, inverse)
+        own = slice(self._count)
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
@@ -215,7 +215,7 @@ class Fitter:
         share = PART_DECREASE if steps and self._many else SETTLED_DECREASE
         least = share * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
-            final = steps is not None or not coarse  # derivatives, with which it may end
+            final = steps is not None or not coarse  # it may end with these derivatives
             jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = estimate_noise(errors)
@@ -230,17 +230,20 @@ class Fitter:
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
-            if settled or stuck:
-                if final:
-                    break
-                coarse = False
-            if self._sways and steps is None:  # exact ones are kept: not those of the first step
+            ended = settled or stuck
+            if ended and final:
+                break
+            if ended or (self._sways and steps is None):  # a step of sways by coarse ones will do
                 coarse = False
         settled &= final
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def _excess(self, state: _Search, noise: PoseErrorNoise, information: Array) -> float:
+    def _excess(
+        self, state: _Search, noise: PoseErrorNoise, information: Array, inverse: Array
+    ) -> float:
         """Return by how much scores vary more than independent ones.
+
+        `inverse` is that of the information with the prior.
 
         Many recordings tell it by themselves: one is independent of the others. Their errors are
         smaller than noise by what was fitted to them. In a few, scores of long stretches tell what
@@ -259,18 +262,16 @@ class Fitter:
             whole[:, own] = parts
             sums.append(whole)
         stretches = np.concatenate(sums)
-        whole_inverse = np.linalg.inv(information + self._precision)
+        fitted = float(np.trace(inverse @ information))  # parameters that the data tell
         if self._many:  # the score of each start has vanished with its run
             left, shared = self._marginal(information), stretches[:, : self._count]
-            inverse = np.linalg.inv(left + self._precision[: self._count, : self._count])
-            spread = float(np.einsum("bi,ij,bj->", shared, inverse, shared))
-            count = len(stretches)
-            fitted = float(np.trace(whole_inverse @ information))
-            total = sum(each.size for each in state.errors)
+            known = np.linalg.inv(left + self._precision[: self._count, : self._count])
+            spread = float(np.einsum("bi,ij,bj->", shared, known, shared))
+            count, total = len(stretches), sum(each.size for each in state.errors)
             least = total / max(total - fitted, 1.0)
-            return max(least, spread * count / (count - 1) / float(np.trace(inverse @ left)))
-        spread = float(np.einsum("bi,ij,bj->", stretches, whole_inverse, stretches))
-        return max(1.0, spread / float(np.trace(whole_inverse @ information)))
+            return max(least, spread * count / (count - 1) / float(np.trace(known @ left)))
+        spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
+        return max(1.0, spread / fitted)
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6)."""

@@ -121,7 +121,7 @@ def identify_runs(
     oscillations with locked winches will do, from different places and in different directions.
 
     Args:
-        recordings: All of their poses are fitted.
+        recordings: Their poses are fitted, but for those at first that only lead the search.
         robot: Start of the search, with as many cables.
         settings: None takes the defaults.
         held_out: Scored only; nothing but their first motion is fitted to them.
@@ -223,8 +223,7 @@ def _identify(
     else:
         fit = fitter.run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
-    starts = [*fit.starts]
-    starts += _starts(unknowns, kept, chosen, fit.coordinates)
+    starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
@@ -268,7 +267,7 @@ def _identify(
 def _starts(
     unknowns: Coordinates, runs: Sequence[FittedRun], settings: IdentificationSettings, at: Array
 ) -> list[Array]:
-    """Return starts of recordings held out of the fit; those without a window are apart."""
+    """Return the starts of recordings held out; those without a window are searched apart."""
     found: dict[int, Array] = {}
     for averaged in (True, False):
         rows = [r for r, run in enumerate(runs) if bool(run.window) == averaged]
