@@ -92,13 +92,13 @@ class _Writer:
         kinds = self._file.cable_types.values()
         if "linear_density" in changed and any(kind.material_density for kind in kinds):
             changed |= {"axial_stiffness"}  # the old file has it from the density
-        for name in changed.intersection(_TEXT_FIELDS):
+        for name in sorted(changed.intersection(_TEXT_FIELDS), key=_TEXT_FIELDS.index):
             self.document[name] = getattr(robot, name)
         if changed & {"exit_points", "exit_covariance"}:
             self._exit_points()
         if "anchor_points" in changed:
             self._anchor_points()
-        for name in changed.intersection(_CABLE_TYPE_FIELDS):
+        for name in sorted(changed.intersection(_CABLE_TYPE_FIELDS), key=_CABLE_TYPE_FIELDS.index):
             self._in_parts("cable", "cable_types", name, (name,), getattr(robot, name))
         for name, path in _WINCH_PATHS.items():
             if name in changed:
@@ -151,7 +151,9 @@ class _Writer:
             point["covariance"] = _matrix(robot.exit_covariance[i])
             point.fa.set_block_style()
         spare = [f"{path}.{name}" for name in points if name not in used]
-        pulleys = [f"{path}.{name}.pulley" for name in used if "pulley" in points[name]]
+        pulleys = [
+            f"{path}.{name}.pulley" for name in points if name in used and "pulley" in points[name]
+        ]
         self._from(path, but=[*spare, *kept, *pulleys])
 
     def _moved(self, i: int) -> bool:
