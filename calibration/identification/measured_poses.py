@@ -79,4 +79,4 @@ def rotation_vectors(rotation: Array) -> Array:
     """Return the rotation vectors [rad], shape (K, 3), of rotations (K, 3, 3) below half a turn."""
     from scipy.spatial.transform import Rotation
 
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+    return np.asarray(Rotation.from_matrix(rotation, assume_valid=True).as_rotvec())

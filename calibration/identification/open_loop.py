@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,12 +209,12 @@ def _evenly(seen: Array, step: float) -> Array:
     Intervals of very different lengths would end the memory of the integrator, and damp the motion.
     """
     edges = np.concatenate([[0.0], seen])
-    parts = [
-        np.linspace(a, b, int(np.ceil((b - a) / step - TIME_ROUNDING_S)), endpoint=False)
-        for a, b in pairwise(edges)
-        if b - a > TIME_ROUNDING_S
-    ]
-    return np.concatenate([*parts, seen[-1:]])
+    edges = edges[np.concatenate([[True], np.diff(edges) > TIME_ROUNDING_S])]
+    width = np.diff(edges)
+    parts = np.ceil(width / step - TIME_ROUNDING_S).astype(np.int64)
+    part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = np.repeat(edges[:-1], parts) + part * np.repeat(width / parts, parts)
+    return np.append(inner, seen[-1])
 
 
 def _alike(drives: Sequence[_Drive]) -> list[list[int]]:

@@ -23,8 +23,7 @@ def moved_pose(position: Array, rotation: Array, move: Array) -> tuple[Array, Ar
 
 def moved_poses(position: Array, rotation: Array, move: Array) -> tuple[Array, Array]:
     """Return poses (B, 3), (B, 3, 3) after motions (B, 6); see `moved_pose`."""
-    each = [moved_pose(*pose) for pose in zip(position, rotation, move, strict=True)]
-    return np.array([place for place, _ in each]), np.array([turn for _, turn in each])
+    return position + move[:, :3], from_rotation_vector(move[:, 3:]) @ rotation
 
 
 def poses_on_lengths(
