@@ -21,15 +21,18 @@ from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.robot import Robot
 
-WINDOW_PERIODS = 3.0  # of the slowest vibration: Blackman's window leaves a thousandth from there
-SLOW_PERIODS_MAX = 1.5  # of the fastest sway in a window, which leaves nearly half of it
-WINDOW_POSES_MIN = 6  # poses in a window
-WINDOW_POSES_MAX = 40
+# Of Blackman and Harris: cosines of multiples, which leave 3e-5 of vibrations. A thousandth would
+# still tell a stiffness by their phase.
+WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
+WINDOW_PERIODS = 4.0  # of the slowest vibration, from where it leaves so little
+SLOW_PERIODS_MAX = 2.0  # of the fastest sway in a window, which leaves nearly half of it
+WINDOW_POSES_MIN = 8  # poses in a window
+WINDOW_POSES_MAX = 50
 # Degree of polynomials that follow a sway within a window to a thousandth, and no vibration: of a
 # sway that lasts, and for each of its periods.
 SWAY_DEGREE, SWAY_DEGREE_PER_PERIOD = 3, 4
 RINGING_RATIO_MIN = 1.5  # of the scatter within later windows: more is vibration
-RINGING_WINDOWS = 3.0  # in which sway and vibrations are told apart, in windows of averages
+RINGING_WINDOWS = 2.25  # in which sway and vibrations are told apart, in windows of averages
 CHANCE = 1e-5  # that noise alone scatters so much in a window
 CALM_WINDOWS = 4  # in a row, as many a window: vibrations have died out
 RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
@@ -98,9 +101,9 @@ class FittedRun:
         row = np.repeat(np.arange(count), stop - first)
         column = np.concatenate([np.arange(a, b) for a, b in zip(first, stop, strict=True)])
         away = np.pi * (time[column] - center[row]) / half
-        weight = 0.42 + 0.5 * np.cos(away) + 0.08 * np.cos(2.0 * away)  # Blackman
+        weight = sum(share * np.cos(k * away) for k, share in enumerate(WINDOW))
         total = np.bincount(row, weight, count)
-        whole = 0.42 * self.window / float(np.median(np.diff(time)))
+        whole = WINDOW[0] * self.window / float(np.median(np.diff(time)))
         kept = total >= min(COVERED_SHARE_MIN * whole, float(total.max()))
         shape = (count, len(time))
         averages = csr_array((weight / np.maximum(total, 1e-9)[row], (row, column)), shape=shape)
