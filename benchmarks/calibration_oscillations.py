@@ -1,16 +1,17 @@
 """Identification from many short free oscillations of robots with pulleys, dry friction and tilt.
 
 Run it from the project's root: ``python -m benchmarks.calibration_oscillations [--seeds N]
-[--cables N ...] [--apart]``. Each robot takes some minutes and is kept under
-``benchmarks/oscillations.parts``, so that a run goes on where another one ended; the section is
-written from all that is there. Remove the folder where the code has changed. With ``--apart`` each
-core identifies a robot of its own: that is faster for many, and does not tell how long one takes on
-two cores.
+[--cables N ...] [--apart]``. Each robot takes some minutes and is kept in
+``benchmarks/oscillations``, with a digest of the code that identified it, so that a run goes on
+where another one of the same code ended; the section is written from all of that code. With
+``--apart`` each core identifies a robot of its own: that is faster for many, and does not tell how
+long one takes on two cores.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
 import os
@@ -24,7 +25,7 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from benchmarks.results import write_section
-from calibration import IdentificationSettings, identify_runs
+from calibration import IdentificationSettings, identification, identify_runs
 from calibration.identification.result import Identification
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -42,7 +43,7 @@ from carosac_toolkit.robot.parameters import turn_between, values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
 
-KEPT = Path(__file__).parent / "oscillations.parts"
+KEPT = Path(__file__).parent / "oscillations"
 CABLES = (3, 4)
 TITLE = "Identification from free oscillations"
 PULLEY_RADIUS_M = 0.04
@@ -90,6 +91,8 @@ class Score:
         count: How many parameters were identified.
         seconds: Time of processors [s].
         wall: Time by the clock on two cores [s]; None: it ran on one.
+        left_out: Recordings that no time step follows.
+        code: Digest of the code that identified it.
     """
 
     frequency: float
@@ -102,6 +105,8 @@ class Score:
     count: int
     seconds: float = 0.0
     wall: float | None = None
+    left_out: int = 0
+    code: str = ""
 
 
 def score(
@@ -206,9 +211,18 @@ def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
     return float(np.abs(frequency[0] / frequency[1] - 1.0).max())
 
 
-def read(path: Path) -> Score:
-    """Return the score of a robot that was identified before."""
-    return Score(**json.loads(path.read_text(encoding="utf-8")))
+def digest() -> str:
+    """Return a digest of the code that identifies."""
+    files = sorted(Path(identification.__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
+
+
+def read(path: Path) -> Score | None:
+    """Return the score of a robot that the same code identified before; None: it was another."""
+    if not path.is_file():
+        return None
+    found = Score(**json.loads(path.read_text(encoding="utf-8")))
+    return found if found.code == digest() else None
 
 
 def measure(
@@ -216,8 +230,9 @@ def measure(
 ) -> Score:
     """Identify a drawn robot, unless that was kept."""
     path = KEPT / f"{cables}-{seed}.json"
-    if path.is_file():
-        return read(path)
+    kept = read(path)
+    if kept is not None:
+        return kept
     robot = robot_with_pulleys(cables)
     plant = draw_plant(robot, settings, seed)
     runs = simulate_oscillations(plant, seed, options)
@@ -226,10 +241,16 @@ def measure(
     wall, used = perf_counter() - wall, process_time() - used
     found = score(choose_coordinates(robot, settings), result, plant, runs)
     alone = len(os.sched_getaffinity(0)) > 1
-    found = replace(found, seconds=used, wall=wall if alone else None)
+    found = replace(
+        found,
+        seconds=used,
+        wall=wall if alone else None,
+        left_out=len(result.unfollowed),
+        code=digest(),
+    )
     KEPT.mkdir(exist_ok=True)
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        temporary.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")
     return found
 
 
@@ -256,6 +277,8 @@ def rows_of(cables: int, scores: list[Score]) -> list[str]:
              f"{low:.2f} to {high:.2f}",
              f"{nees:.2f}, {np.median([s.nees for s in scores]):.2f}"),
             ("beyond three sigmas", "reported", f"{sum(s.beyond for s in scores)} of {count}"),
+            ("recordings left out, as no time step follows them", "reported",
+             f"{sum(s.left_out for s in scores)} of {40 * len(scores)}"),
             ("time of processors, median and longest", "600 s on two cores",
              f"{np.median([s.seconds for s in scores]):.0f}, "
              f"{max(s.seconds for s in scores):.0f} s"),
@@ -302,7 +325,8 @@ def main() -> None:
             print(_measured(one), flush=True)
     rows = []
     for cables in CABLES:
-        scores = [read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))]
+        kept = [read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))]
+        scores = [each for each in kept if each is not None]
         rows += rows_of(cables, scores) if scores else []
     text = [
         f"{options.count} free oscillations of {options.duration:g} s at {options.rate:g} Hz, none "

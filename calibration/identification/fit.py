@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +28,9 @@ FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
 # shorter ones its jumps count for more.
 STEP_OF_MANY = 5e-4
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
+MOVE_SIGMAS = 20.0  # for differences of finer time steps, along axes of the covariance
+MOVE_MAX = 0.5  # the same, of the coordinates
+TINY = 1e-12  # instead of no step
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
 SETTLED_DECREASE = 0.1
@@ -48,7 +51,11 @@ STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights th
 # The same where only the sway counts: parameters that nearly make up for each other are a long way
 # from linear there.
 SWAY_STRETCHES = (0.3, 1.0, 2.0)
-START_STRETCHES = (1.0, 0.4, 0.1)  # of a step of the starts alone, of which the best is taken
+# Shares of steps of a start alone, and how much they are damped, of the Hessian's diagonal; the
+# best is taken. Two modes that sway nearly alike are hard to tell apart at first.
+START_TRIES = ((1.0, 0.0), (0.4, 0.0), (1.0, 0.01), (1.0, 0.1))
+FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may leave it
+LOST_COST_RATIO = 5.0  # of a typical run's: one that costs more starts anew
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
@@ -69,6 +76,7 @@ class CoordinateFit:
         excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
         converged: True if the last step promised little, or brought little.
+        left_out: Runs that no time step follows; nothing but their start is fitted to them.
     """
 
     coordinates: Array
@@ -78,6 +86,7 @@ class CoordinateFit:
     excess: float
     iterations: int
     converged: bool
+    left_out: tuple[int, ...] = ()
 
 
 class Fitter:
@@ -126,6 +135,8 @@ class Fitter:
             + [run.sway.guess for run in runs]
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
+        self._rest: list[Array] = []  # what they make errors wrong by
+        self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
 
@@ -169,7 +180,8 @@ class Fitter:
         self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(at, None, report)
         at = state.at
-        noise = estimate_noise(state.errors)
+        left_out = [k for k, followed in enumerate(self._followed) if not followed]
+        noise = self._noise(state.errors)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
         inverse = np.linalg.inv(information + self._precision)
         excess = self._excess(state, noise, information, inverse)
@@ -178,6 +190,8 @@ class Fitter:
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         covariance = root @ root.T  # rounding leaves the product of three too asymmetric
         information /= self._axes * excess
+        for k, start in zip(left_out, self._anew(at, left_out), strict=True):
+            at[self._own[k][self._count :]] = start
         return CoordinateFit(
             coordinates=at[own],
             covariance=np.asarray(covariance[own, own], float),
@@ -186,6 +200,7 @@ class Fitter:
             excess=excess,
             iterations=state.count,
             converged=state.settled,
+            left_out=tuple(left_out),
         )
 
     def starts(self) -> tuple[Array, ...]:
@@ -208,7 +223,7 @@ class Fitter:
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
-        damping, settled = DAMPING_START, False
+        damping, settled, hessian = DAMPING_START, False, None
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
         coarse = steps is not None or not (self._sways and alone)
         errors = self._errors_at(at)
@@ -216,9 +231,9 @@ class Fitter:
         least = share * (self._count if self._many else self._axes)
         for count in range(1, (steps or self._settings.iterations) + 1):
             final = steps is not None or not coarse  # it may end with these derivatives
-            jacobians = self._jacobians(at, coarse=coarse)
+            jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
             if count <= NOISE_UPDATES_MAX:
-                noise = estimate_noise(errors)
+                noise = self._noise(errors)
             poses = sum(len(run.poses.time) for run in self._runs)
             report(poses, *_rms(np.concatenate(errors)))
             information, gradient = self._normal(at, errors, jacobians, noise)
@@ -230,10 +245,16 @@ class Fitter:
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
+                if steps and self._sways:
+                    at, errors = self._found_again(at, errors, noise)
             ended = settled or stuck
             if ended and final:
                 break
             if ended or (self._sways and steps is None):  # a step of sways by coarse ones will do
+                if coarse and self._sways:
+                    self._leave_out(at, errors)
+                    information, _ = self._normal(at, errors, jacobians, noise)
+                    hessian = information + self._precision
                 coarse = False
         settled &= final
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
@@ -250,11 +271,10 @@ class Fitter:
         lasts for less than these; what lasts longer shows in all axes.
         """
         sums = []
-        for run, own, errors, jacobian in zip(
-            self._runs, self._own, state.errors, state.jacobians, strict=True
-        ):
-            scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
-            time = run.poses.time
+        for k in self._kept:
+            own, errors = self._own[k], state.errors[k]
+            scores = np.einsum("nci,nc->ni", state.jacobians[k], noise.weights(errors) * errors)
+            time = self._runs[k].poses.time
             length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
             edges = np.arange(0, len(scores), len(scores) if self._many else length)
             parts = np.add.reduceat(scores, edges, axis=0)
@@ -263,35 +283,68 @@ class Fitter:
             sums.append(whole)
         stretches = np.concatenate(sums)
         fitted = float(np.trace(inverse @ information))  # parameters that the data tell
-        if self._many:  # the score of each start has vanished with its run
-            left, shared = self._marginal(information), stretches[:, : self._count]
+        if self._many:
+            start = slice(self._count, None)
+            hessian = (information + self._precision)[start]
+            own, own_start = stretches[:, : self._count], stretches[:, start]
+            # what is left of scores once each run has started as suits it best
+            shared = own - own_start @ np.linalg.solve(hessian[:, start], hessian[:, : self._count])
+            left = self._marginal(information)
             known = np.linalg.inv(left + self._precision[: self._count, : self._count])
             spread = float(np.einsum("bi,ij,bj->", shared, known, shared))
-            count, total = len(stretches), sum(each.size for each in state.errors)
+            count, total = len(stretches), sum(state.errors[k].size for k in self._kept)
             least = total / max(total - fitted, 1.0)
             return max(least, spread * count / (count - 1) / float(np.trace(known @ left)))
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
         return max(1.0, spread / fitted)
 
     def _errors_at(self, at: Array) -> list[Array]:
-        """Return the errors of each run (K, 6)."""
-        errors, good = self._errors([at[None]] * len(self._runs))
-        if not all(each.all() for each in good):
-            raise CarosacError("identification: no finite motion of the robot")
-        return [each[0] for each in errors]
-
-    def _errors(self, points: Sequence[Array]) -> tuple[list[Array], list[NDArray[np.bool_]]]:
-        """Return errors as `_simulated`, of vanishing time steps where only the sway counts.
+        """Return the errors of each run (K, 6), of vanishing time steps where only the sway counts.
 
         Many recordings tell frequencies better than time steps do that are short enough for a sway.
-        What these are wrong by falls with their square (Richardson).
+        What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
         """
+        points = [at[None]] * len(self._runs)
         errors, good = self._simulated(points, self._time_step)
-        if not self._sways:
-            return errors, good
-        fine, sound = self._simulated(points, self._time_step, refined=2)
-        errors = [best + (best - each) / 3.0 for best, each in zip(fine, errors, strict=True)]
-        return errors, [one & other for one, other in zip(good, sound, strict=True)]
+        self._rest = [np.zeros(6)] * len(errors)
+        if self._sways:
+            fine, sound = self._simulated(points, self._time_step, refined=2)
+            good = [one & other for one, other in zip(good, sound, strict=True)]
+            self._rest = [
+                4.0 / 3.0 * (best[0] - each[0]) for best, each in zip(fine, errors, strict=True)
+            ]
+        if not all(each.all() for each in good):
+            raise CarosacError("identification: no finite motion of the robot")
+        return [each[0] + more for each, more in zip(errors, self._rest, strict=True)]
+
+    def _leave_out(self, at: Array, errors: Sequence[Array]) -> None:
+        """Leave out the runs that no time step follows.
+
+        Strong vibrations move a sway too, and a little more or less of a parameter moves them
+        altogether: what such a run seems to tell of the robot is chance. It shows in time steps:
+        what two of them tell of vanishing ones differs from what two shorter ones do.
+        """
+        sigma = self._noise(errors).sigma
+        points = [at[None]] * len(self._runs)
+        once, twice, more = (
+            self._simulated(points, self._time_step, refined=refined)[0] for refined in (1, 2, 4)
+        )
+        differs = np.array([
+            np.linalg.norm((5.0 * b - a - 4.0 * c) / (3.0 * sigma))
+            for a, b, c in zip(once, twice, more, strict=True)
+        ])  # fmt: skip
+        self._followed = differs <= max(FOLLOWED_SIGMAS, float(np.median(differs)))
+        for k in np.flatnonzero(~self._followed):
+            self._searched[self._own[k][self._count :]] = False
+
+    def _trials(self, points: Array) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Return errors as `_simulated`, near to where `_errors_at` looked last.
+
+        Args:
+            points: Of all runs, shape (B, all coordinates).
+        """
+        errors, good = self._simulated([points] * len(self._runs), self._time_step)
+        return [each + more for each, more in zip(errors, self._rest, strict=True)], good
 
     def _simulated(
         self, points: Sequence[Array], time_step: float, *, refined: int = 1
@@ -343,7 +396,9 @@ class Fitter:
                 known[key] = None
         return known[key]
 
-    def _jacobians(self, at: Array, *, coarse: bool, starts: bool = False) -> list[Array]:
+    def _jacobians(
+        self, at: Array, *, coarse: bool, starts: bool = False, hessian: Array | None = None
+    ) -> list[Array]:
         """Return the derivatives of each run's errors (K, 6) by what it depends on, (K, 6, p).
 
         With `starts` those by the robot are left at 0.
@@ -367,22 +422,83 @@ class Fitter:
             alike = None
         ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
         jacobians = self._slopes(at, searched, ratio * self._time_step)
-        if self._sways and not coarse:
-            assert not starts, "what is kept is by all that is searched"
+        if starts and self._finer is not None:
+            own = slice(self._count, None)
+            for each, more in zip(jacobians, self._finer, strict=True):
+                each[:, :, own] += more[:, :, own]
+        elif self._sways and not coarse:
             if self._finer is None:  # once: what steps of the search change is of second order
-                halved = self._slopes(at, searched, self._time_step, refined=2)
-                self._finer = [
-                    4.0 / 3.0 * (fine - rough)
-                    for fine, rough in zip(halved, jacobians, strict=True)
-                ]
+                moves = None if hessian is None else self._moves(at, searched, hessian)
+                fine = self._slopes(at, searched, self._time_step, refined=2, moves=moves)
+                rough = jacobians
+                if moves is not None:
+                    rough = self._slopes(at, searched, self._time_step, moves=moves)
+                self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
             jacobians = [each + more for each, more in zip(jacobians, self._finer, strict=True)]
         if alike is not None:
             for each in jacobians:
                 each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
         return jacobians
 
+    def _moves(self, at: Array, searched: NDArray[np.bool_], hessian: Array) -> list[Array]:
+        """Return changes of what each run depends on that the data tell about equally well.
+
+        Vibrations that averages leave change with the robot too, by little, but within a fraction
+        of its sigma. Derivatives of short steps would take that for knowledge. These steps go along
+        the axes of the covariance, many sigmas far, and the starts follow; the others are of the
+        start alone, likewise.
+
+        Args:
+            at: All coordinates.
+            searched: Those that change.
+            hessian: Of the cost, about.
+
+        Returns:
+            Of each run, shape (p, p): changes in rows, of those that it depends on and that change.
+        """
+        count, size = self._count, STEP_OF_MANY
+        bound = at[:count] <= self._lower[:count] + size
+        free = np.flatnonzero(searched[:count] & ~bound)
+        start = np.arange(count, len(at))
+        known = hessian[np.ix_(start, start)]
+        follow = -np.linalg.solve(known, hessian[np.ix_(start, free)])
+        left = hessian[np.ix_(free, free)] + hessian[np.ix_(free, start)] @ follow
+        variance, axes = np.linalg.eigh(np.linalg.inv(left))
+        length = np.clip(MOVE_SIGMAS * np.sqrt(variance), size, MOVE_MAX)
+        whole = np.zeros((count, len(at)))
+        whole[:, :count] = size * np.eye(count)
+        whole[np.ix_(free, free)] = (axes * length).T
+        whole[np.ix_(free, start)] = whole[np.ix_(free, free)] @ follow.T
+        room = at[free] - self._lower[free]
+        for row in free:  # each the way that leads no coordinate below its bound, or as far as that
+            step = whole[row, free]
+            ahead, back = (np.min(room / np.maximum(-side * step, TINY)) for side in (1.0, -1.0))
+            whole[row] *= min(1.0, ahead) if ahead >= min(1.0, back) else -min(1.0, back)
+        moves = []
+        for own, rows in zip(self._own, self._varied(searched), strict=True):
+            begin = own[count:]
+            variance, axes = np.linalg.eigh(np.linalg.inv(hessian[np.ix_(begin, begin)]))
+            length = np.clip(MOVE_SIGMAS * np.sqrt(variance), size, MOVE_MAX)
+            ends = np.hstack([np.zeros((len(begin), count)), (axes * length).T])
+            which = np.isin(own, rows)
+            moves.append(np.vstack([whole[:, own], ends])[np.ix_(which, which)])
+        return moves
+
+    def _varied(self, searched: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+        """Return by which coordinates each run is differenced."""
+        return [
+            own[searched[own] & followed]
+            for own, followed in zip(self._own, self._followed, strict=True)
+        ]
+
     def _slopes(
-        self, at: Array, searched: NDArray[np.bool_], time_step: float, *, refined: int = 1
+        self,
+        at: Array,
+        searched: NDArray[np.bool_],
+        time_step: float,
+        *,
+        refined: int = 1,
+        moves: Sequence[Array] | None = None,
     ) -> list[Array]:
         """Return differences of errors over their width.
 
@@ -391,23 +507,31 @@ class Fitter:
             searched: By which of them.
             time_step: At most [s].
             refined: Steps that each of these is divided into.
+            moves: Changes of each run as of `_moves`; None: of one coordinate each, short ones.
 
         Returns:
             Of each run, shape (K, 6, p).
         """
-        step = STEP_OF_MANY if self._many else FINITE_DIFFERENCE_STEP
-        varied = [own[searched[own]] for own in self._own]
-        more = at + step * np.eye(len(at))  # bounds lie below
-        points = [np.vstack([at[None], more[rows]]) for rows in varied]
+        size = STEP_OF_MANY if self._many else FINITE_DIFFERENCE_STEP
+        varied = self._varied(searched)
+        if moves is None:
+            moves = [size * np.eye(len(rows)) for rows in varied]
+        points = []
+        for rows, each in zip(varied, moves, strict=True):
+            ends = np.tile(at, (len(rows) + 1, 1))
+            ends[1:, rows] += each
+            points.append(ends)
         errors, good = self._simulated(points, time_step, refined=refined)
         jacobians = []
-        for own, rows, each, sound in zip(self._own, varied, errors, good, strict=True):
+        for k, (move, each, sound) in enumerate(zip(moves, errors, good, strict=True)):
             if not sound.all():
                 row = int(np.argmin(sound)) - 1
-                beside = "" if row < 0 else f" with another {self._names[rows[row]]}"
+                name = self._names[varied[k][np.argmax(np.abs(move[row]))]]
+                beside = "" if row < 0 else f" with another {name}"
                 raise CarosacError(f"identification: no finite motion of the robot{beside}")
-            jacobian = np.zeros((*each.shape[1:], len(own)))
-            jacobian[:, :, searched[own]] = np.moveaxis((each[1:] - each[0]) / step, 0, 2)
+            jacobian = np.zeros((*each.shape[1:], len(self._own[k])))
+            differences = np.moveaxis(each[1:] - each[0], 0, 2)
+            jacobian[:, :, np.isin(self._own[k], varied[k])] = differences @ np.linalg.inv(move).T
             jacobians.append(jacobian)
         return jacobians
 
@@ -421,16 +545,26 @@ class Fitter:
         """Return the information of the data, and the gradient with the prior."""
         information = np.zeros_like(self._precision)
         gradient = self._precision @ at
-        for own, error, jacobian in zip(self._own, errors, jacobians, strict=True):
+        for k in self._kept:
+            own, error, jacobian = self._own[k], errors[k], jacobians[k]
             weights = noise.weights(error).reshape(-1, 1)
             flat = jacobian.reshape(-1, len(own))
             information[np.ix_(own, own)] += flat.T @ (weights * flat)
             gradient[own] += flat.T @ (weights[:, 0] * error.ravel())
         return information, gradient
 
+    @property
+    def _kept(self) -> list[int]:
+        """Which runs are not left out."""
+        return [k for k, followed in enumerate(self._followed) if followed]
+
+    def _noise(self, errors: Sequence[Array]) -> PoseErrorNoise:
+        """Return the noise of errors of each run (K, 6)."""
+        return estimate_noise([errors[k] for k in self._kept])
+
     def _cost(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
         """Return the cost of errors of all runs, with the prior."""
-        data = sum(noise.cost(each) for each in errors)
+        data = sum(noise.cost(errors[k]) for k in self._kept)
         return float(data + at @ self._precision @ at)
 
     def _search(
@@ -450,30 +584,83 @@ class Fitter:
         lowest = self._cost(at, errors, noise)
         for _ in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
-            stretches = SWAY_STRETCHES if self._sways else STRETCHES
-            points = np.array([self._moved(at, stretch * step) for stretch in stretches])
-            trials, good = self._errors([points] * len(self._runs))
+            if self._sways:
+                points, trials, good = self._follow(at, step, hessian, gradient, noise)
+            else:
+                points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
+                trials, good = self._trials(points)
             costs = [
                 self._cost(point, [each[k] for each in trials], noise)
                 if all(each[k] for each in good)
                 else np.inf
                 for k, point in enumerate(points)
             ]
-            best = int(np.argmin(costs))
-            if np.isfinite(costs[best]):
-                point, found = points[best], [each[best] for each in trials]
-                if self._many and self._searched[: self._count].any():
-                    point, found = self._restarted(point, found, noise)
-                cost = self._cost(point, found, noise)
-                if cost < lowest:
-                    return _Step(
-                        at=point,
-                        errors=found,
-                        damping=max(damping / 8.0, 1e-6),
-                        decrease=lowest - cost,
-                    )
+            found = self._best(points, trials, costs, noise)
+            if found is not None and found.cost < lowest:
+                return replace(
+                    found,
+                    errors=self._errors_at(found.at) if self._sways else found.errors,
+                    damping=max(damping / 8.0, 1e-6),
+                    decrease=lowest - found.cost,
+                )
             damping *= 5.0
-        return _Step(at=at, errors=errors, damping=DAMPING_START, decrease=0.0)
+        return _Step(at=at, errors=errors, cost=lowest)
+
+    def _follow(
+        self, at: Array, step: Array, hessian: Array, gradient: Array, noise: PoseErrorNoise
+    ) -> tuple[Array, list[Array], list[NDArray[np.bool_]]]:
+        """Return where stretches of a step lead, with the errors there.
+
+        Each start follows as far as suits it: one of which little is known would go far, and spoil
+        the step for all.
+        """
+        robot = step[: self._count]
+        steps = np.tile(step, (len(START_TRIES), 1))
+        for k in self._kept:
+            rows = self._own[k][self._count :]
+            pull = gradient[rows] + hessian[rows, : self._count] @ robot
+            for row, each in zip(steps, _tries(hessian[np.ix_(rows, rows)], pull), strict=True):
+                row[rows] = each
+        ways = np.array([
+            [self._moved(at, stretch * each) for each in steps] for stretch in SWAY_STRETCHES
+        ])  # fmt: skip
+        errors, sound = self._trials(ways.reshape(-1, len(at)))
+        points = ways[:, 0].copy()
+        trials, good = [], []
+        for k, (each, exists) in enumerate(zip(errors, sound, strict=True)):
+            rows = self._own[k][self._count :]
+            costs = np.array([
+                noise.cost(error) + float(way[rows] @ way[rows]) if fine else np.inf
+                for error, way, fine in zip(each, ways.reshape(-1, len(at)), exists, strict=True)
+            ]).reshape(ways.shape[:2])  # fmt: skip
+            best = np.argmin(costs, axis=1)
+            stretch = np.arange(len(best))
+            points[:, rows] = ways[stretch, best][:, rows]
+            trials.append(each.reshape(*costs.shape, *each.shape[1:])[stretch, best])
+            good.append(np.isfinite(costs[stretch, best]))
+        return points, trials, good
+
+    def _best(
+        self, points: Array, trials: list[Array], costs: list[float], noise: PoseErrorNoise
+    ) -> _Step | None:
+        """Return where the best of some stretches of a step leads, or None.
+
+        The first motion follows a change of the robot far from linearly. Where only the sway
+        counts, a step is judged once the starts have followed: until then a long one that leads to
+        the robot looks worse than a short one.
+        """
+        follow = self._many and bool(self._searched[: self._count].any())
+        ends: list[_Step] = []
+        for k in np.argsort(costs):
+            if not np.isfinite(costs[k]):
+                break
+            point, found = points[k], [each[k] for each in trials]
+            if follow:
+                point, found = self._restarted(point, found, noise)
+            ends.append(_Step(at=point, errors=found, cost=self._cost(point, found, noise)))
+            if not self._sways:
+                break
+        return min(ends, key=lambda end: end.cost, default=None)
 
     def _started(self, at: Array, shares: Sequence[float] = POSE_SHARES[:1]) -> Array:
         """Return where a search begins; each run that starts before its poses does as suits it.
@@ -484,18 +671,50 @@ class Fitter:
         if not self._sways:
             return at
         whole = self._runs
-        least = SETTLED_DECREASE * (len(at) - self._count)
         for share in shares:
             self._runs = tuple(run.first(share) for run in whole)
-            errors = self._errors_at(at)
-            for _ in range(STARTS_STEPS_MAX):
-                noise = estimate_noise(errors)
-                before = self._cost(at, errors, noise)
-                at, errors = self._restarted(at, errors, noise)
-                if before - self._cost(at, errors, noise) <= least:
-                    break
+            at = self._suited(at)
         self._runs = whole
         return at
+
+    def _suited(self, at: Array) -> Array:
+        """Let runs start as suits the robot."""
+        least = SETTLED_DECREASE * (len(at) - self._count)
+        errors = self._errors_at(at)
+        for _ in range(STARTS_STEPS_MAX):
+            noise = self._noise(errors)
+            before = self._cost(at, errors, noise)
+            at, errors = self._restarted(at, errors, noise)
+            if before - self._cost(at, errors, noise) <= least:
+                break
+        return at
+
+    def _found_again(
+        self, at: Array, errors: list[Array], noise: PoseErrorNoise
+    ) -> tuple[Array, list[Array]]:
+        """Start runs anew, from their first guesses, that beside the others are far off."""
+        costs = [noise.cost(each) / each.size for each in errors]
+        lost = [k for k, cost in enumerate(costs) if cost > LOST_COST_RATIO * np.median(costs)]
+        if not lost:
+            return at, errors
+        new = at.copy()
+        for k, start in zip(lost, self._anew(at, lost), strict=True):
+            new[self._own[k][self._count :]] = start
+        found = self._errors_at(new)
+        point = at.copy()
+        for k in lost:
+            rows = self._own[k][self._count :]
+            if noise.cost(found[k]) < noise.cost(errors[k]):
+                point[rows] = new[rows]
+        return point, self._errors_at(point)
+
+    def _anew(self, at: Array, which: Sequence[int]) -> tuple[Array, ...]:
+        """Return starts that suit the robot of some runs, found from their first guesses."""
+        if not len(which):
+            return ()
+        runs = [self._runs[k] for k in which]
+        fitter = Fitter(self._unknowns, runs, self._settings, robot_at=at[: self._count])
+        return fitter._starts(fitter._suited(fitter._first))
 
     def _restarted(
         self, at: Array, errors: list[Array], noise: PoseErrorNoise
@@ -509,13 +728,14 @@ class Fitter:
         information, gradient = self._normal(at, errors, jacobians, noise)
         hessian = information + self._precision
         own = [rows[self._count :] for rows in self._own]
-        trial = np.tile(at, (len(START_STRETCHES), 1))
+        trial = np.tile(at, (len(START_TRIES), 1))
         for rows in own:
-            step = np.linalg.solve(hessian[np.ix_(rows, rows)], gradient[rows])
-            trial[:, rows] -= np.outer(START_STRETCHES, step)
-        trials, good = self._errors([trial] * len(self._runs))
+            steps = _tries(hessian[np.ix_(rows, rows)], gradient[rows])
+            trial[:, rows] += np.array(steps).reshape(len(trial), len(rows))
+        trials, good = self._trials(trial)
         point, found = at.copy(), list(errors)
-        for k, rows in enumerate(own):
+        for k in self._kept:
+            rows = own[k]
             lowest = noise.cost(errors[k]) + float(at[rows] @ at[rows])
             for each, error, sound in zip(trial[:, rows], trials[k], good[k], strict=True):
                 cost = noise.cost(error) + float(each @ each)
@@ -524,9 +744,17 @@ class Fitter:
         return point, found
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
-        """Return by how much a whole Gauss-Newton step would lower the cost."""
+        """Return by how much a whole Gauss-Newton step would lower the cost.
+
+        Of many recordings, beyond what their starts alone would: each has some of its own.
+        """
         step = self._bounded(at, hessian, gradient)
-        return float(-(2.0 * gradient + hessian @ step) @ step)
+        promise = float(-(2.0 * gradient + hessian @ step) @ step)
+        if self._many and self._searched[: self._count].any():
+            start = np.flatnonzero(self._searched[self._count :]) + self._count
+            pull = gradient[start]
+            promise -= float(pull @ np.linalg.solve(hessian[np.ix_(start, start)], pull))
+        return promise
 
     def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return a damped step."""
@@ -576,8 +804,9 @@ class _Step:
 
     at: Array
     errors: list[Array]
-    damping: float
-    decrease: float
+    cost: float
+    damping: float = DAMPING_START
+    decrease: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -597,6 +826,15 @@ class _Search:
     jacobians: list[Array]
     count: int
     settled: bool
+
+
+def _tries(hessian: Array, gradient: Array) -> list[Array]:
+    """Return steps (p,) of a start to try."""
+    diagonal = np.diag(np.diag(hessian))
+    return [
+        np.asarray(-share * np.linalg.solve(hessian + damping * diagonal, gradient), float)
+        for share, damping in START_TRIES
+    ]
 
 
 def _rms(errors: Array) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,7 @@ Range = tuple[int, int]
 # Mean of the error of orientation, above which the tracked body is turned on the platform.
 BODY_TURN_MIN_RAD = 0.035
 BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
+APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
 START_DISTANCE_MAX = Scaled(0.5, "m")
@@ -212,16 +214,15 @@ def _identify(
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
-    fitter = Fitter(unknowns, trained, chosen)
     if any(windows):
-        nearly = fitter.approach(report)
+        nearly = Fitter(unknowns, _spread(trained, APPROACH_RUNS_MAX), chosen).approach(report)
         windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
         runs = prepare(windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
         fit = Fitter(unknowns, trained, chosen).finish(nearly, report)
     else:
-        fit = fitter.run(report)
+        fit = Fitter(unknowns, trained, chosen).run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
@@ -230,11 +231,16 @@ def _identify(
     judged = _model_error(identified, runs, after)
     against_mean = _against_mean(robot, runs, after)
     scored = _scored(runs, before, after, "test")
+    unfollowed = tuple(runs[k].part.name for k in fit.left_out)  # the fitted ones are the first
     trained_scores = _scored(runs, before, after, "train")
     assert trained_scores is not None, "something was fitted"
     return Identification(
         before=robot,
-        warnings=(*_warnings(fit, scored, against_mean), *_turned_body(runs, after)),
+        warnings=(
+            *_warnings(fit, scored, against_mean),
+            *_left_out(unfollowed),
+            *_turned_body(runs, after),
+        ),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
         train=trained_scores,
@@ -260,7 +266,10 @@ def _identify(
         excess=fit.excess,
         model_error=None if judged is None else judged.error,
         nees=None if judged is None else judged.nees,
-        fitted_samples=sum(len(run.first(1.0).poses.time) for run in trained),
+        unfollowed=unfollowed,
+        fitted_samples=sum(
+            len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out
+        ),
     )
 
 
@@ -304,8 +313,13 @@ def _model_error(
 def _some(runs: Sequence[_Run], which: str) -> list[int]:
     """Return places of recordings with samples to be fitted or scored only, some of many."""
     rows = [r for r, run in enumerate(runs) if _span(run, which) is not None]
-    picked = np.linspace(0, len(rows) - 1, min(len(rows), MODEL_ERROR_RUNS_MAX))
-    return [rows[int(k)] for k in np.unique(picked.round())]
+    return _spread(rows, MODEL_ERROR_RUNS_MAX)
+
+
+def _spread(each: Sequence[Any], most: int) -> list[Any]:
+    """Return at most so many of some things, evenly spread."""
+    picked = np.linspace(0, len(each) - 1, min(len(each), most))
+    return [each[int(k)] for k in np.unique(picked.round())]
 
 
 def _windows(
@@ -568,6 +582,16 @@ def _warnings(
     if test is not None and test.after.rmse[3] > test.before.rmse[3]:
         lines.append("the identified robot is worse than before on what was kept back")
     return lines
+
+
+def _left_out(names: Sequence[str]) -> Iterator[str]:
+    """Warn of recordings that tell nothing of the robot."""
+    if names:
+        yield (
+            f"{', '.join(names)}: left out of the fit, as cables vibrate so "
+            "strongly that the simulated motion depends on its time step; kick the platform more "
+            "gently, or add damping to the robot file if it has too little"
+        )
 
 
 def _turned_body(runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]:

@@ -224,6 +224,7 @@ class Identification(CalibrationResult):
         iterations: Steps of the search.
         converged: True if it ended by itself.
         excess: Factor by which the data count for less than independent innovations [1].
+        unfollowed: Names of recordings that no time step follows; only their start was fitted.
         fitted_samples: Poses that were fitted.
         model_error: What the identified robot misses, for the estimators; None: not known.
         nees: Squares of the errors over what `model_error` says of them, per degree of freedom; of
@@ -237,6 +238,7 @@ class Identification(CalibrationResult):
     iterations: int
     converged: bool
     excess: float
+    unfollowed: tuple[str, ...]
     fitted_samples: int
     model_error: ModelError | None
     nees: float | None
@@ -278,6 +280,7 @@ class Identification(CalibrationResult):
             "against_mean_pose": self.against_mean.data(),
             "iterations": self.iterations,
             "converged": self.converged,
+            "unfollowed": list(self.unfollowed),
             "fitted_samples": self.fitted_samples,
             "excess": self.excess,
             "model_error": None if self.model_error is None else asdict(self.model_error),
