@@ -45,6 +45,7 @@ from carosac_toolkit.studies.run.robot_copies import copy_paths, copy_robots
 from carosac_toolkit.studies.run.run_case import (
     CASE_DRIVER_SETTINGS,
     DEFAULT_DRIVER,
+    file_digests,
     own_settings,
     robot_digest,
     robot_of,
@@ -301,6 +302,9 @@ class Study:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])
         if case.estimator in self.estimator_settings:
             settings["estimator_settings"] = dict(self.estimator_settings[case.estimator])
+        files = file_digests(settings)
+        if files:
+            settings["file_digests"] = files
         return settings
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,9 @@ SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest", "condition_digest",
-    "trajectory_digest",
+    "trajectory_digest", "file_digests",
 )  # fmt: skip
+PLUGIN_SETTINGS = ("controller_settings", "estimator_settings", "driver_settings")
 
 
 class Truth:
@@ -231,6 +233,7 @@ def build_part(
         seeds: For a driver of a batch, one for each robot.
         nominal: For a driver, the robot whose size settles its settings; `robot` is a plant.
     """
+    check_files(case)
     plugin = plugins.load(kind, plugin_name(name))
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
     own = dict(case.settings.get(key, {}))
@@ -271,6 +274,37 @@ def digest_of(case: Case) -> str:
     if case.settings.get("robot_digest", here) != here:
         raise CarosacError(f"robot {case.robot}: this file is not the one the study was made for")
     return here
+
+
+def file_digests(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Return digests of the files that settings of plug-ins name, such as a policy, by setting."""
+    found: dict[str, str] = {}
+
+    def look(where: str, value: Any) -> None:
+        if isinstance(value, Mapping):
+            for name, inner in value.items():
+                look(f"{where}.{name}", inner)
+        elif isinstance(value, str) and Path(value).is_file():
+            state = Path(value).stat()
+            found[where] = _file_digest(value, state.st_mtime_ns, state.st_size)
+
+    for key in PLUGIN_SETTINGS:
+        look(key, settings.get(key, {}))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _file_digest(name: str, changed: int, size: int) -> str:
+    """Return the digest of a file, read once as long as it does not change."""
+    return hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
+
+
+def check_files(case: Case) -> None:
+    """Refuse files of settings that are not the ones that the case was made for."""
+    here = file_digests(case.settings)
+    for where, digest in case.settings.get("file_digests", {}).items():
+        if here.get(where) != digest:
+            raise CarosacError(f"{where}: this file is not the one the study was made for")
 
 
 def condition_of(case: Case) -> Condition:

@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import failures, header
 from carosac_toolkit.studies.compare.terminal_table import terminal_table
 from carosac_toolkit.studies.run.row_files import part_files
+from learned.bundled_files import find_bundled
 from sim_warp.driver import SimDriver
 from tests.studies.tables import bad, case, good, study
 
@@ -177,6 +179,19 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
     assert len(ct.Study().cases()) == 50
     quick = ct.Study().quick().cases()
     assert len(quick) == 10 and set(quick) < set(ct.Study().cases())
+
+
+def test_a_policy_of_a_file_is_part_of_the_identity_of_a_case(tmp_path):
+    path = tmp_path / "policy.onnx"
+    shutil.copy(find_bundled("carosac-residual", "policies"), path)
+    chosen = ct.Study(
+        controllers=["td3"], trajectories=["line"], seeds=[1],
+        controller_settings={"td3": {"policy": str(path)}},
+    )  # fmt: skip
+    (before,) = chosen.cases()
+    shutil.copy(find_bundled("carosac-settle", "policies"), path)
+    (after,) = chosen.cases()
+    assert before.identity != after.identity
 
 
 def test_by_default_five_controllers_track_one_fast_move_behind_the_dynamic_estimator():

@@ -20,6 +20,7 @@ from carosac_toolkit.studies.run.run_case import (
     Truth,
     build_part,
     condition_of,
+    file_digests,
     given_to_driver,
     robot_digest,
     run_case,
@@ -124,6 +125,18 @@ def test_a_robot_file_that_has_changed_is_refused(tmp_path):
     assert robot_digest(str(path)) != digest
     with pytest.raises(CarosacError, match="not the one the study was made for"):
         run_case(case(robot=str(path), settings=FAST | {"robot_digest": digest}))
+
+
+def test_a_file_of_a_setting_that_has_changed_is_refused(tmp_path):
+    path = tmp_path / "network.npz"
+    path.write_bytes(b"one")
+    settings = FAST | {"controller_settings": {"policy": str(path), "gain": 1.0}}
+    digests = file_digests(settings)
+    assert list(digests) == ["controller_settings.policy"]
+    path.write_bytes(b"two")
+    assert file_digests(settings) != digests
+    with pytest.raises(CarosacError, match="policy: this file is not the one the study was made"):
+        run_case(case("td3", settings=settings | {"file_digests": digests}))
 
 
 def test_estimator_truth_has_no_estimation_error():
