@@ -8,9 +8,9 @@ does: the first pose and speed of a platform on fewer than six cables are fitted
 its own; those of --held-out are scored only. Prints what was learnt and what the data cannot tell,
 and writes a report and, with --output, a new robot file.
 
-Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
-on the samples kept back. No robot file is written if a platform that stands still would predict
-these samples as well.
+Exit status 1 means that the search did not settle, that it had to leave out recordings, or that the
+new robot is worse than the old one on the samples kept back. No robot file is written if a platform
+that stands still would predict these samples as well.
 """
 
 from __future__ import annotations
