@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -284,7 +285,7 @@ def file_digests(settings: Mapping[str, Any]) -> dict[str, str]:
         if isinstance(value, Mapping):
             for name, inner in value.items():
                 look(f"{where}.{name}", inner)
-        elif isinstance(value, str) and Path(value).is_file():
+        elif isinstance(value, str) and os.path.isfile(value):  # any text may be asked
             state = Path(value).stat()
             found[where] = _file_digest(value, state.st_mtime_ns, state.st_size)
 

@@ -133,6 +133,7 @@ def test_a_file_of_a_setting_that_has_changed_is_refused(tmp_path):
     settings = FAST | {"controller_settings": {"policy": str(path), "gain": 1.0}}
     digests = file_digests(settings)
     assert list(digests) == ["controller_settings.policy"]
+    assert file_digests({"driver_settings": {"note": 5000 * "long "}}) == {}
     path.write_bytes(b"two")
     assert file_digests(settings) != digests
     with pytest.raises(CarosacError, match="policy: this file is not the one the study was made"):
