@@ -798,6 +798,7 @@ class _Step:
     Attributes:
         at: All coordinates there.
         errors: Of each run, shape (K, 6).
+        cost: As the search judged it.
         damping: To begin the next one with.
         decrease: Of the cost.
     """
