@@ -75,12 +75,14 @@ def error_growth(robot: Robot, reading: Callable[[float], Array], time: Array) -
         for error in (nothing, *one_each)
     ]
     first = float(time[0])
-    states = [RestStart(robot, each).state(first, reading(first)) for each in settings]
+    model = DynamicModel(robot, settings[0])
+    states = [
+        RestStart(robot, each, model.errors).state(first, reading(first)) for each in settings
+    ]
     state = states[0]
     if state is None:
         raise CarosacError("the robot cannot hang at rest on the first recorded lengths")
     covariances = [each.covariance for each in states if each is not None]
-    model = DynamicModel(robot, settings[0])
     filters = [DynamicFilter(model, each) for each in settings]
     sensors = MeasurementModels(model, settings[0])
     longest = LENGTH_SEGMENT_MAX.of(Scales(robot).ratios)

@@ -126,8 +126,10 @@ class DynamicFilter:
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] = s.length_bias_walk**2 * duration
-        spread[where.speed] = s.acceleration_noise**2 * self._model.robot.mass * duration
-        return np.diag(spread)
+        noise = np.diag(spread)
+        moved = slice(where.sway.start, where.speed.stop)
+        noise[moved, moved] = self._model.unknown_motion(duration)
+        return noise
 
     def _corrected(
         self, state: DynamicFilterState, cross: Array, total: Array, innovation: Array

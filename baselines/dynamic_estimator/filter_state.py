@@ -16,6 +16,7 @@ class Errors:
     """The order of errors, truth minus estimate, of a robot of n cables with m ways to sway.
 
     Attributes:
+        soft: Which ways to sway are on cables that give way, by their place among the ways.
         sway: Along the ways to sway, in `SwayBasis` coordinates, m of them [m kg^0.5].
         speed: Their rates [m kg^0.5/s].
         wind: Force along x and y of W [N].
@@ -28,10 +29,10 @@ class Errors:
         size: All of them.
     """
 
-    def __init__(self, n: int, *, cells: bool = False) -> None:
-        """Lay out the errors for n cables, with load cells or without."""
-        m = max(0, 6 - n)
+    def __init__(self, n: int, m: int, *, cells: bool = False) -> None:
+        """Lay out the errors for n cables and m ways to sway, with load cells or without."""
         self.m, self.n = m, n
+        self.soft = slice(0, m - max(0, 6 - n))
         self.sway = slice(0, m)
         self.speed = slice(m, 2 * m)
         self.wind = slice(2 * m, 2 * m + 2)
@@ -86,7 +87,8 @@ class DynamicFilterState:
     @property
     def errors(self) -> Errors:
         """The order of its errors."""
-        return Errors(len(self.length_bias), cells=len(self.cell_bias) > 0)
+        n, m = self.sway.slaved.shape[1], self.sway.ways.shape[1]
+        return Errors(n, m, cells=len(self.cell_bias) > 0)
 
     def pose_by(self) -> Array:
         """Return the pose error per error, shape (6, size): cables leave no other."""

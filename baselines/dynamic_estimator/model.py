@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.sway_basis import sway_at
+from baselines.dynamic_estimator.sway_basis import count_ways, sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.scaled import Scaled
@@ -54,12 +54,19 @@ class DynamicModel:
 
     The stretch of the cables is damped more than it is in truth: its vibrations are not of
     interest, and the noise of the readings would excite them.
+
+    Attributes:
+        robot: The nominal one.
+        errors: Their order.
     """
 
-    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
-        """Allocate for a robot of n cables."""
+    def __init__(
+        self, robot: Robot, settings: DynamicEstimatorSettings, *, soft: bool = True
+    ) -> None:
+        """Allocate for a robot of n cables; only those that are not `soft` never give way."""
         self.robot = robot
-        self.errors = Errors(robot.n, cells=settings.load_cells)
+        ways = count_ways(robot) if soft else max(0, 6 - robot.n)
+        self.errors = Errors(robot.n, ways, cells=settings.load_cells)
         where, ratios = self.errors, Scales(robot).ratios
         steps = np.zeros(where.moving)
         steps[where.sway] = SWAY_STEP.of(ratios) * np.sqrt(robot.mass)
@@ -67,6 +74,9 @@ class DynamicModel:
         steps[where.wind], steps[where.mass] = WIND_STEP.of(ratios), LOG_MASS_STEP
         steps[where.center] = steps[where.bias] = LENGTH_STEP.of(ratios)
         self._steps = steps
+        density = np.full(where.m, settings.acceleration_noise)
+        density[where.soft] = max(settings.soft_acceleration_noise, settings.acceleration_noise)
+        self._unknown_acceleration = density * np.sqrt(robot.mass)
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(
             replace(robot, axial_damping=damping), 1 + where.moving, time_step=settings.time_step
@@ -112,6 +122,20 @@ class DynamicModel:
             stretched=self._stretched(arrived),
         )
 
+    def unknown_motion(self, duration: float) -> Array:
+        """Return what accelerations that the model does not know add to the covariance.
+
+        Args:
+            duration: For which they act [s].
+
+        Returns:
+            Of sway and speed, shape (2 m, 2 m).
+        """
+        rates = np.array([
+            [duration**3 / 3.0, duration**2 / 2.0], [duration**2 / 2.0, duration]
+        ])  # fmt: skip
+        return np.kron(rates, np.diag(self._unknown_acceleration**2))
+
     def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
         """Return the estimate and one neighbour per error: motions, masses, centres and biases."""
         where = self.errors
@@ -145,7 +169,14 @@ class DynamicModel:
             tension=ends.tension[0],
             exit_tension=np.asarray(ends.exit_tension)[0],
             bristles=None if ends.bristles is None else ends.bristles[0],
-            sway=sway_at(self.robot, ends.position[0], ends.rotation[0], length),
+            sway=sway_at(
+                self.robot,
+                ends.position[0],
+                ends.rotation[0],
+                length,
+                ends.tension[0],
+                self.errors.m,
+            ),
         )
 
     def _felt(self, ends: Arrived) -> Array:
@@ -171,7 +202,7 @@ class DynamicModel:
 
     def _stretched(self, state: DynamicFilterState) -> Array:
         """Return the change of the IMU readings per rate of stretch, shape (6, n)."""
-        turn = state.sway.slaved[3:]
+        turn = state.sway.rigid[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
 
 

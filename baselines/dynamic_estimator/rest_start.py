@@ -25,9 +25,9 @@ DIFFERENCE_STEP = Scaled(1e-4, "m")  # of centre of mass and lengths
 class RestStart:
     """The equilibrium on given lengths, and its derivatives by what is not known."""
 
-    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
-        """Take the robot of n cables."""
-        self._robot = robot
+    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings, errors: Errors) -> None:
+        """Take the robot of n cables, and the order of the errors."""
+        self._robot, self._errors = robot, errors
         self._settings = settings
         self._step = DIFFERENCE_STEP.of(Scales(robot).ratios)
         loads = [replace(robot, mass=robot.mass * np.exp(LOG_MASS_STEP))]
@@ -57,7 +57,14 @@ class RestStart:
         rests = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
         if not (rests.converged & rests.stable).all():
             return None
-        sway = sway_at(robot, alone.position[0], alone.rotation[0], reading)
+        sway = sway_at(
+            robot,
+            alone.position[0],
+            alone.rotation[0],
+            reading,
+            alone.tension[0],
+            self._errors.m,
+        )
         return DynamicFilterState(
             time=time,
             position=alone.position[0],
@@ -95,7 +102,7 @@ class RestStart:
         straight = straight_length(robot, rest.position[None], rest.rotation[None]).length
         place, turn = poses_on_lengths(robot, position[None], rotation[None], straight)
         position, rotation = place[0], turn[0]
-        sway = sway_at(robot, position, rotation, reading)
+        sway = sway_at(robot, position, rotation, reading, rest.tension, where.m)
         noise = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
         covariance = np.array(rest.covariance)
         covariance[where.sway] = covariance[:, where.sway] = 0.0
@@ -119,7 +126,7 @@ class RestStart:
     ) -> Array:
         """Return the covariance of all errors: unknowns move the rest, motion comes on top."""
         s = self._settings
-        where = Errors(self._robot.n, cells=s.load_cells)
+        where = self._errors
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force
         spread[where.mass] = s.mass

@@ -1,46 +1,81 @@
-r"""Basis of the sway: motions that the cables leave free, and those that follow their lengths.
+r"""Basis of the sway: slow motions of the platform, and those that follow the lengths.
 
-Cables are stiff: a millimetre too short is a tension of tens of newtons. Pose errors are therefore
-those that leave all lengths as they are, and those that go with errors of the lengths:
+Cables are stiff: a millimetre too short is a tension of tens of newtons. A filter that let the pose
+err freely would read tensions out of the third digit of a millimetre, which no linearisation is
+good for. Pose errors are therefore slow motions of coordinates s, and what goes with errors of the
+lengths:
 
-.. math:: \delta x = N s + S\, \delta b, \qquad A^T N = 0, \quad A^T S = 1, \quad N^T M N = 1,
-    \quad N^T M S = 0
+.. math:: \delta x = N s + S\, \delta b, \qquad N^T M N = 1, \quad N^T M S = 0
 
-with the structure matrix A and the mass matrix M. A filter that let the pose err freely would read
-tensions out of the third digit of a millimetre, which no linearisation is good for.
+with the mass matrix M. Slow are the 6 - n motions that leave all lengths as they are, for which
+:math:`A^T N = 0` with the structure matrix A, and beside them those on cables that sag and give
+way (`softness`): a platform near a face of its workspace may bounce on its slackest cables only
+twice as fast as it sways. With none of these :math:`A^T S = 1`.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.base.scaled import Scaled
+from carosac_toolkit.physics.cable.softness import softness
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_frequencies
+from carosac_toolkit.physics.rest.statics import inverse_kinematics
 from carosac_toolkit.physics.rest.structure import constrained_motion, structure_matrix
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
+
+# Natural frequency below which a mode is a way to sway. Faster ones average out.
+SLOW_FREQUENCY = Scaled(6.0, "1/s")
+WORKSPACE_SHARES = (-0.9, 0.0, 0.9)  # of the half box along each axis, where modes are looked at
 
 
 class SwayBasis(NamedTuple):
     """At one pose.
 
     Attributes:
-        ways: N, shape (6, m): twists that leave the lengths as they are, of unit kinetic energy
-            1/2, so that their coordinates have the unit m kg^0.5.
-        slaved: S, shape (6, n): pose per length that a cable is shorter; with more than six cables
-            the least squares.
+        ways: N, shape (6, m): slow twists of unit kinetic energy 1/2, so that their coordinates
+            have the unit m kg^0.5. The last 6 - n leave the lengths as they are.
+        slaved: S, shape (6, n): pose per length that a cable is shorter, beside the slow motions;
+            with more than six cables the least squares.
         momentum: N^T M, shape (m, 6), which takes s out of a pose error.
         pulls: Acceleration per tension of a cable, shape (6, n) [1/kg, 1/(kg m)].
+        rigid: As S, if cables were not soft, shape (6, n).
+        structure: A, shape (6, n).
+        stiffness: Of each cable [N/m], shape (n,).
     """
 
     ways: Array
     slaved: Array
     momentum: Array
     pulls: Array
+    rigid: Array
+    structure: Array
+    stiffness: Array
 
 
-def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> SwayBasis:
+def count_ways(robot: Robot) -> int:
+    """Return the number m of slow motions of a robot, the most anywhere in its workspace."""
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * (robot.workspace_max - robot.workspace_min)
+    places = middle + half * np.array(list(product(WORKSPACE_SHARES, repeat=3)))
+    rests = inverse_kinematics(robot, np.vstack([robot.home_position, places]))
+    slow = natural_frequencies(robot, rests) < SLOW_FREQUENCY.of(Scales(robot).ratios)
+    return int(max(6 - robot.n, slow.sum(axis=1).max()))  # where it cannot rest, none is
+
+
+def sway_at(
+    robot: Robot,
+    position: Array,
+    rotation: Array,
+    unstrained_length: Array,
+    tension: Array,
+    count: int,
+) -> SwayBasis:
     """Return the basis of the sway at a pose.
 
     Args:
@@ -48,17 +83,25 @@ def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: A
         position: Platform origin in W [m], shape (3,).
         rotation: From P to W, shape (3, 3).
         unstrained_length: [m], shape (n,), whose inertia rides along.
+        tension: Of the cables [N], shape (n,).
+        count: Number m of ways, at least 6 - n.
     """
     structure = structure_matrix(robot, position[None], rotation[None])[0]
     mass = mass_matrix(robot, rotation[None], unstrained_length[None])[0]
     root = np.linalg.cholesky(mass)
-    white = np.linalg.solve(root, structure)  # columns in coordinates of unit mass
-    count = max(0, 6 - robot.n)
-    left, _, _ = np.linalg.svd(white)
+    stiffness = 1.0 / softness(robot, structure[:3].T, unstrained_length, tension)
+    strength = np.sqrt(stiffness)
+    springs = np.linalg.solve(root, structure) * strength  # in coordinates of unit mass
+    left, _, _ = np.linalg.svd(springs)  # stiffest first
+    fast = left[:, : 6 - count]
     ways = np.linalg.solve(root.T, left[:, 6 - count :])
+    back = np.linalg.pinv(springs.T @ fast, rcond=1e-9)
     return SwayBasis(
         ways=ways,
-        slaved=constrained_motion(mass, structure.T),
+        slaved=np.linalg.solve(root.T, fast @ back) * strength,
         momentum=ways.T @ mass,
         pulls=np.linalg.solve(mass, structure),
+        rigid=constrained_motion(mass, structure.T),
+        structure=structure,
+        stiffness=stiffness,
     )

@@ -104,7 +104,7 @@ class Tracker:
         self._settings = settings
         self._model = DynamicModel(robot, settings)
         self._filter = DynamicFilter(self._model, settings)
-        self._rest = RestStart(robot, settings)
+        self._rest = RestStart(robot, settings, self._model.errors)
         self._short = STRAIGHT_TIME_STEPS * settings.time_step
         self._tolerances = reading_tolerances(robot, settings.encoder_noise)
         ratios = Scales(robot).ratios

@@ -156,12 +156,8 @@ class ForwardModel:
         spread[where.mass.start : where.center.stop] = 0.0
         spread[where.imu] = 0.0
         noise = np.diag(spread)
-        density = s.acceleration_noise**2 * self._model.robot.mass
-        one = np.eye(where.m)
-        noise[where.speed, where.speed] += density * duration * one
-        noise[where.sway, where.sway] += density * duration**3 / 3.0 * one
-        noise[where.sway, where.speed] += density * duration**2 / 2.0 * one
-        noise[where.speed, where.sway] += density * duration**2 / 2.0 * one
+        moved = slice(where.sway.start, where.speed.stop)
+        noise[moved, moved] += self._model.unknown_motion(duration)
         return noise
 
 

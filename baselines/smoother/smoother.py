@@ -103,12 +103,12 @@ def _settled(
     measured: ArrangedRecording, robot: Robot, chosen: SmootherSettings, report: PassReport | None
 ) -> _LastPass:
     """Go through the recording until nothing changes; see `smooth`."""
-    rest = _rest(measured, robot, chosen)
     ratios = Scales(robot).ratios
     damping = chosen.dynamics.stretch_damping
     if measured.felt:
         damping = max(damping, IMU_STRETCH_DAMPING.of(ratios))
-    model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping))
+    model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping), soft=False)
+    rest = _rest(measured, model, chosen)
     forward = ForwardModel(model, measured, chosen)
     start_covariance = np.pad(rest.covariance, (0, 1))
     start_covariance[-1, -1] = measured.delay_sigma**2
@@ -146,12 +146,12 @@ class _LastPass:
 
 
 def _rest(
-    measured: ArrangedRecording, robot: Robot, settings: SmootherSettings
+    measured: ArrangedRecording, model: DynamicModel, settings: SmootherSettings
 ) -> DynamicFilterState:
     """Return the state at which the recording begins: in motion where poses are used and say so."""
-    when = float(measured.time[0])
+    robot, when = model.robot, float(measured.time[0])
     reading = measured.reading(when, measured.delay)
-    start = RestStart(robot, settings.dynamics)
+    start = RestStart(robot, settings.dynamics, model.errors)
     rest = start.state(when, reading, settings.dynamics.start_speed)
     if rest is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)

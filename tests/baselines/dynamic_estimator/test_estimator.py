@@ -136,7 +136,7 @@ def test_what_an_imu_off_centre_feels_is_the_motion_of_where_it_sits(robot):
     model = DynamicModel(robot, settings)
     home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     length = home.unstrained_length[0]
-    state = RestStart(robot, settings).state(0.0, length)
+    state = RestStart(robot, settings, model.errors).state(0.0, length)
     turn = Rotation.from_rotvec([0.15, -0.1, 0.05]).as_matrix()
     state = replace(
         state, rotation=turn @ state.rotation, twist=np.array([0.2, -0.1, 0.05, 0.4, -0.6, 0.8])
@@ -200,7 +200,8 @@ def test_vibrations_are_noise_of_the_imu_that_more_samples_do_not_lower(robot, n
         model = DynamicModel(robot, settings)
         home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
         length = home.unstrained_length[0]
-        move = model.step(RestStart(robot, settings).state(0.0, length), length, length, 0.01)
+        state = RestStart(robot, settings, model.errors).state(0.0, length)
+        move = model.step(state, length, length, 0.01)
         felt = ImuMean(values=move.felt, samples=4)
         noise.append(np.diag(MeasurementModels(model, settings).felt(move, felt).noise))
     expected = np.zeros(6)

@@ -1,11 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from baselines.dynamic_estimator.sway_basis import sway_at
+from baselines.dynamic_estimator.sway_basis import count_ways, sway_at
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
 
 POSITION = np.array([0.9, -2.2, 2.0])
 TURN = Rotation.from_rotvec([0.2, -0.15, 0.1]).as_matrix()
@@ -13,7 +15,9 @@ TURN = Rotation.from_rotvec([0.2, -0.15, 0.1]).as_matrix()
 
 def sway_of(robot):
     home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
-    return sway_at(robot, POSITION, TURN, home.unstrained_length[0])
+    return sway_at(
+        robot, POSITION, TURN, home.unstrained_length[0], home.tension[0], max(0, 6 - robot.n)
+    )
 
 
 def lengths(robot, pose):
@@ -49,6 +53,51 @@ def test_sway_and_slaved_pose_have_no_momentum_in_common():
     mass = mass_matrix(robot, TURN[None], home.unstrained_length)[0]
     assert sway.ways.T @ mass @ sway.ways == pytest.approx(np.eye(2), abs=1e-9)
     assert sway.momentum @ sway.slaved == pytest.approx(np.zeros((2, 4)), abs=1e-9)
+
+
+def near_a_face():
+    """Equilibrium of scampi where its third mode has 3 Hz, on cables that sag."""
+    robot = ct.load_robot("scampi")
+    return robot, ct.statics.inverse_kinematics(robot, [[-0.39, -4.63, 1.81]])
+
+
+def sway_near_a_face():
+    robot, rest = near_a_face()
+    return sway_at(
+        robot, rest.position[0], rest.rotation[0], rest.unstrained_length[0], rest.tension[0],
+        count_ways(robot),
+    )  # fmt: skip
+
+
+def test_slow_motions_on_sagging_cables_are_ways_to_sway():
+    """The ways hold the slowest modes of the platform, whose stiffness is that of statics."""
+    robot, rest = near_a_face()
+    sway = sway_near_a_face()
+    assert sway.ways.shape == (6, 4)
+    modes = natural_modes(robot, rest)
+    slow = modes.shape[0][:, :4]
+    inside = np.linalg.norm(sway.momentum @ slow, axis=0)  # share of each that they hold
+    assert inside == pytest.approx(1.0, abs=0.02)
+    squares = np.linalg.eigvalsh(sway.ways.T @ rest.stiffness[0] @ sway.ways)
+    assert np.sqrt(squares) / (2.0 * np.pi) == pytest.approx(modes.frequency[0, :4], rel=0.05)
+
+
+def test_what_follows_the_lengths_has_no_share_in_slow_motions():
+    sway = sway_near_a_face()
+    assert sway.momentum @ sway.slaved == pytest.approx(np.zeros((4, 4)), abs=1e-9)
+    # A change of lengths that these can follow is followed in full.
+    followed = sway.structure.T @ sway.slaved
+    assert followed @ followed == pytest.approx(followed, abs=1e-9)
+    assert np.trace(followed) == pytest.approx(2.0)
+
+
+def test_a_robot_of_stiff_cables_has_no_more_ways_than_cables_leave():
+    robot = ct.load_robot("carosac")
+    stiff = replace(
+        robot, axial_stiffness=100.0 * robot.axial_stiffness,
+        linear_density=1e-3 * robot.linear_density,
+    )  # fmt: skip
+    assert count_ways(stiff) == 2 < count_ways(robot)
 
 
 def test_eight_cables_leave_no_way_to_sway():

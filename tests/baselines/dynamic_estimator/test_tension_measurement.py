@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
+from baselines.dynamic_estimator.model import DynamicModel
 from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings, settings_for
 from baselines.dynamic_estimator.tension_measurement import measured_tension, rigid_tensions
@@ -17,7 +18,9 @@ USED = DynamicEstimatorSettings(load_cells=True)
 
 def at_rest(robot, settings=USED):
     rest = statics.inverse_kinematics(robot, robot.home_position[None])
-    return RestStart(robot, settings_for(robot, settings)).state(0.0, rest.unstrained_length[0])
+    settings = settings_for(robot, settings)
+    errors = DynamicModel(robot, settings).errors
+    return RestStart(robot, settings, errors).state(0.0, rest.unstrained_length[0])
 
 
 def tensions(robot, state, **changes):
@@ -51,6 +54,27 @@ def test_the_mass_is_learned_from_tensions_at_rest():
     by_mass = found.by[:, state.errors.mass][:, 0]
     share = found.residual @ by_mass / (by_mass @ by_mass)
     assert share == pytest.approx(0.05, abs=0.005)
+
+
+def test_sagging_cables_pull_as_springs_along_slow_motions():
+    """Tensions that the dynamics find at once, in a state beside one of rest."""
+    robot = ct.load_robot("scampi")
+    settings = settings_for(robot, USED)
+    model = DynamicModel(robot, settings)
+    rest = statics.inverse_kinematics(robot, [[-0.39, -4.63, 1.81]])
+    length = rest.unstrained_length[0]
+    state = RestStart(robot, settings, model.errors).state(0.0, length)
+    instant = 1e-5
+    state = model.step(state, length, length, instant).state
+    by = measured_tension(robot, state, state.tension, settings).by
+    soft = np.arange(state.errors.m)[state.errors.soft]
+    assert len(soft) == 2
+    for way in soft:
+        error = np.zeros(state.errors.size)
+        error[way] = 2e-4  # m kg^0.5
+        moved = model.step(state.corrected(error, state.covariance), length, length, instant).state
+        change = measured_tension(robot, state, moved.tension, settings).residual
+        assert by @ error == pytest.approx(change, abs=0.2 * np.abs(change).max())
 
 
 def test_tensions_against_each_other_are_left_out_of_eight_cables():

@@ -16,7 +16,7 @@ TIME = 0.1 * np.arange(COUNT)
 def linear():
     """Random linear dynamics of a robot of four cables, with IMU at every link and some poses."""
     rng = np.random.default_rng(3)
-    errors = Errors(4)
+    errors = Errors(4, 2)
     size = errors.size
     fixed = np.r_[errors.mass.start : errors.center.stop, errors.imu.start : size]
 
