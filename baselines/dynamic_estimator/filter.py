@@ -57,7 +57,7 @@ class DynamicFilter:
 
     def step(
         self, state: DynamicFilterState, reading: Array, end: Array, duration: float,
-        felt: ImuMean | None = None,
+        felt: ImuMean | None = None, *, inertial: bool = False,
     ) -> tuple[DynamicFilterState, InnovationTally]:  # fmt: skip
         """Predict, and correct by what the IMU felt at the end.
 
@@ -67,13 +67,14 @@ class DynamicFilter:
             end: Length readings at the end [m], shape (n,).
             duration: [s].
             felt: By the IMU, or None.
+            inertial: Whether this leads to the time of what an IMU felt.
 
         Raises:
             NoMotion: The dynamics have no finite motion.
         """
         move = self._model.step(state, reading, end, duration)
         carry, keep = self._sensors.carried(move, duration)
-        matrix = carry @ state.covariance @ carry.T + self.noise(duration, keep)
+        matrix = carry @ state.covariance @ carry.T + self.noise(duration, keep, inertial=inertial)
         arrived = replace(
             move.state,
             wind=keep * state.wind,
@@ -120,15 +121,18 @@ class DynamicFilter:
         own = measurement.by @ cross + measurement.noise
         return self._corrected(state, cross, own, measurement.residual)
 
-    def noise(self, duration: float, keep: float) -> Array:
-        """Return the covariance that a step adds; a share `keep` of the wind remains."""
+    def noise(self, duration: float, keep: float, *, inertial: bool = False) -> Array:
+        """Return the covariance that a step adds; a share `keep` of the wind remains.
+
+        A step is `inertial` that leads to what an IMU felt.
+        """
         where, s = self._model.errors, self._settings
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] = s.length_bias_walk**2 * duration
         noise = np.diag(spread)
         moved = slice(where.sway.start, where.speed.stop)
-        noise[moved, moved] = self._model.unknown_motion(duration)
+        noise[moved, moved] = self._model.unknown_motion(duration, felt=inertial)
         return noise
 
     def _corrected(

@@ -74,8 +74,8 @@ class DynamicModel:
         steps[where.wind], steps[where.mass] = WIND_STEP.of(ratios), LOG_MASS_STEP
         steps[where.center] = steps[where.bias] = LENGTH_STEP.of(ratios)
         self._steps = steps
-        density = np.full(where.m, settings.acceleration_noise)
-        density[where.soft] = max(settings.soft_acceleration_noise, settings.acceleration_noise)
+        density = np.full((2, where.m), settings.acceleration_noise)
+        density[1, where.soft] = max(settings.soft_acceleration_noise, settings.acceleration_noise)
         self._unknown_acceleration = density * np.sqrt(robot.mass)
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(
@@ -122,11 +122,12 @@ class DynamicModel:
             stretched=self._stretched(arrived),
         )
 
-    def unknown_motion(self, duration: float) -> Array:
+    def unknown_motion(self, duration: float, *, felt: bool = False) -> Array:
         """Return what accelerations that the model does not know add to the covariance.
 
         Args:
             duration: For which they act [s].
+            felt: Whether an IMU feels them, with the waves of the cables.
 
         Returns:
             Of sway and speed, shape (2 m, 2 m).
@@ -134,7 +135,7 @@ class DynamicModel:
         rates = np.array([
             [duration**3 / 3.0, duration**2 / 2.0], [duration**2 / 2.0, duration]
         ])  # fmt: skip
-        return np.kron(rates, np.diag(self._unknown_acceleration**2))
+        return np.kron(rates, np.diag(self._unknown_acceleration[int(felt)] ** 2))
 
     def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
         """Return the estimate and one neighbour per error: motions, masses, centres and biases."""

@@ -55,8 +55,8 @@ class DynamicEstimatorSettings:
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
         acceleration_noise: Density of accelerations that the model does not know, along the ways
             to sway [m/s^2/sqrt(Hz)].
-        soft_acceleration_noise: The same along the ways to sway on cables that give way, where
-            their waves disturb the model most [m/s^2/sqrt(Hz)].
+        soft_acceleration_noise: The same along the ways to sway on cables that give way, while an
+            IMU feels how their waves move the platform, which the model has not [m/s^2/sqrt(Hz)].
         stretch_damping: Time constant by which the stretch of the cables is damped in the model,
             beyond the damping of the robot [s].
         tension_noise: Of the tensions that the model predicts, over the weight of the platform: how

@@ -285,8 +285,9 @@ class Tracker:
             if group is not None and end == stop:
                 felt = ImuMean(values=group[:, 1:].mean(axis=0), samples=len(group))
             state, added = self._filter.step(
-                state, readings.at(start), readings.at(end), end - start, felt
-            )
+                state, readings.at(start), readings.at(end), end - start, felt,
+                inertial=group is not None,
+            )  # fmt: skip
             state, tally = replace(state, time=end), tally + added
         return state, tally
 
