@@ -152,7 +152,7 @@ class DynamicFilterState:
         by[:6] = self.pose_by()
         by[6:, where.speed] = self.sway.ways
         covariance = by @ self.covariance @ by.T
-        rigid = self.sway.rigid @ self.sway.rigid.T
+        rigid = self.sway.slaved @ self.sway.slaved.T
         covariance[:6, :6] += reading**2 * rigid
         covariance[6:, 6:] += speed**2 * rigid
         return np.asarray(covariance)

@@ -94,7 +94,7 @@ class MeasurementModels:
         import pinocchio
 
         turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
-        rigid = self._settings.stretch_deviation * state.sway.rigid
+        rigid = self._settings.stretch_deviation * state.sway.slaved
         return LinearisedMeasurement(
             residual=np.concatenate([position - state.position, turn]),
             by=state.pose_by(),

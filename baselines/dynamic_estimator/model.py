@@ -203,7 +203,7 @@ class DynamicModel:
 
     def _stretched(self, state: DynamicFilterState) -> Array:
         """Return the change of the IMU readings per rate of stretch, shape (6, n)."""
-        turn = state.sway.rigid[3:]
+        turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
 
 

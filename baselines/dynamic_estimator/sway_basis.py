@@ -5,12 +5,12 @@ err freely would read tensions out of the third digit of a millimetre, which no 
 good for. Pose errors are therefore slow motions of coordinates s, and what goes with errors of the
 lengths:
 
-.. math:: \delta x = N s + S\, \delta b, \qquad N^T M N = 1, \quad N^T M S = 0
+.. math:: \delta x = N s + S\, \delta b, \qquad A^T S = 1, \quad N^T M N = 1
 
-with the mass matrix M. Slow are the 6 - n motions that leave all lengths as they are, for which
-:math:`A^T N = 0` with the structure matrix A, and beside them those on cables that sag and give
-way (`softness`): a platform near a face of its workspace may bounce on its slackest cables only
-twice as fast as it sways. With none of these :math:`A^T S = 1`.
+with the structure matrix A and the mass matrix M. Slow are the 6 - n motions that leave all lengths
+as they are, for which :math:`A^T N = 0` and :math:`N^T M S = 0`, and beside them those on cables
+that sag and stretch (`softness`): a platform near a face of its workspace may bounce on its
+slackest cables only twice as fast as it sways.
 """
 
 from __future__ import annotations
@@ -29,8 +29,10 @@ from carosac_toolkit.physics.rest.structure import constrained_motion, structure
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
-# Natural frequency below which a mode is a way to sway. Faster ones average out.
-SLOW_FREQUENCY = Scaled(6.0, "1/s")
+# Natural frequency below which a mode is a way to sway: an IMU that is heard at each time step
+# feels six times a period how it moves. A controller answers to all that it sees of a belief, at
+# 3 Hz as at 10: what vibrates in the belief must be what vibrates in truth.
+SLOW_FREQUENCY = Scaled(16.0, "1/s")
 WORKSPACE_SHARES = (-0.9, 0.0, 0.9)  # of the half box along each axis, where modes are looked at
 
 
@@ -40,22 +42,16 @@ class SwayBasis(NamedTuple):
     Attributes:
         ways: N, shape (6, m): slow twists of unit kinetic energy 1/2, so that their coordinates
             have the unit m kg^0.5. The last 6 - n leave the lengths as they are.
-        slaved: S, shape (6, n): pose per length that a cable is shorter, beside the slow motions;
+        slaved: S, shape (6, n): pose per length that a cable is shorter, of least kinetic energy;
             with more than six cables the least squares.
-        momentum: N^T M, shape (m, 6), which takes s out of a pose error.
+        momentum: N^T M, shape (m, 6), which takes s out of a pose error without that part.
         pulls: Acceleration per tension of a cable, shape (6, n) [1/kg, 1/(kg m)].
-        rigid: As S, if cables were not soft, shape (6, n).
-        structure: A, shape (6, n).
-        stiffness: Of each cable [N/m], shape (n,).
     """
 
     ways: Array
     slaved: Array
     momentum: Array
     pulls: Array
-    rigid: Array
-    structure: Array
-    stiffness: Array
 
 
 def count_ways(robot: Robot) -> int:
@@ -89,19 +85,13 @@ def sway_at(
     structure = structure_matrix(robot, position[None], rotation[None])[0]
     mass = mass_matrix(robot, rotation[None], unstrained_length[None])[0]
     root = np.linalg.cholesky(mass)
-    stiffness = 1.0 / softness(robot, structure[:3].T, unstrained_length, tension)
-    strength = np.sqrt(stiffness)
-    springs = np.linalg.solve(root, structure) * strength  # in coordinates of unit mass
+    soft = softness(robot, structure[:3].T, unstrained_length, tension)
+    springs = np.linalg.solve(root, structure) / np.sqrt(soft)  # in coordinates of unit mass
     left, _, _ = np.linalg.svd(springs)  # stiffest first
-    fast = left[:, : 6 - count]
     ways = np.linalg.solve(root.T, left[:, 6 - count :])
-    back = np.linalg.pinv(springs.T @ fast, rcond=1e-9)
     return SwayBasis(
         ways=ways,
-        slaved=np.linalg.solve(root.T, fast @ back) * strength,
+        slaved=constrained_motion(mass, structure.T),
         momentum=ways.T @ mass,
         pulls=np.linalg.solve(mass, structure),
-        rigid=constrained_motion(mass, structure.T),
-        structure=structure,
-        stiffness=stiffness,
     )

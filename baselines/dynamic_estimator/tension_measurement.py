@@ -1,10 +1,10 @@
 """Measurement model of load cells: tensions, as far as they balance a wrench.
 
 The change of tensions with an error is that of cables that do not stretch: the stretch settles
-within some hundredths of a second, far slower than a step and far faster than sway. Along ways to
-sway on cables that give way it is that of springs. With more than six cables, tensions against each
-other depend on tenths of a millimetre of length, which no estimate knows, and do not move the
-platform: the residual leaves them out.
+within some hundredths of a second, far slower than a step and far faster than sway. That it
+vibrates is noise here; who would read it out of tensions must know lengths to some micrometres.
+With more than six cables, tensions against each other depend on tenths of a millimetre of length,
+which no estimate knows, and do not move the platform: the residual leaves them out.
 """
 
 from __future__ import annotations
@@ -38,12 +38,7 @@ def measured_tension(
     """
     where = state.errors
     by = np.zeros((where.n, where.size))
-    sway = state.sway
-    followed = sway.structure.T @ sway.slaved  # the part of lengths that the pose follows at once
-    by[:, : where.moving] = followed.T @ _changes(robot, state)
-    springs = sway.stiffness[:, None]
-    by[:, where.sway] -= springs * (sway.structure.T @ sway.ways)
-    by[:, where.bias] += springs * (np.eye(where.n) - followed)
+    by[:, : where.moving] = _changes(robot, state)
     by[:, where.cells] = np.eye(where.n)
     _, strength, rows = np.linalg.svd(state.sway.pulls, full_matrices=False)
     balancing = rows[strength > 1e-9 * strength[0]]

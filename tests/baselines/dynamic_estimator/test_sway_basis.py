@@ -61,40 +61,32 @@ def near_a_face():
     return robot, ct.statics.inverse_kinematics(robot, [[-0.39, -4.63, 1.81]])
 
 
-def sway_near_a_face():
+def sway_near_a_face(count):
     robot, rest = near_a_face()
     return sway_at(
         robot, rest.position[0], rest.rotation[0], rest.unstrained_length[0], rest.tension[0],
-        count_ways(robot),
+        count,
     )  # fmt: skip
 
 
-def test_slow_motions_on_sagging_cables_are_ways_to_sway():
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_slow_motions_on_sagging_cables_are_ways_to_sway(count):
     """The ways hold the slowest modes of the platform, whose stiffness is that of statics."""
     robot, rest = near_a_face()
-    sway = sway_near_a_face()
-    assert sway.ways.shape == (6, 4)
+    sway = sway_near_a_face(count)
     modes = natural_modes(robot, rest)
-    slow = modes.shape[0][:, :4]
+    slow = modes.shape[0][:, :count]
     inside = np.linalg.norm(sway.momentum @ slow, axis=0)  # share of each that they hold
     assert inside == pytest.approx(1.0, abs=0.02)
     squares = np.linalg.eigvalsh(sway.ways.T @ rest.stiffness[0] @ sway.ways)
-    assert np.sqrt(squares) / (2.0 * np.pi) == pytest.approx(modes.frequency[0, :4], rel=0.05)
-
-
-def test_what_follows_the_lengths_has_no_share_in_slow_motions():
-    sway = sway_near_a_face()
-    assert sway.momentum @ sway.slaved == pytest.approx(np.zeros((4, 4)), abs=1e-9)
-    # A change of lengths that these can follow is followed in full.
-    followed = sway.structure.T @ sway.slaved
-    assert followed @ followed == pytest.approx(followed, abs=1e-9)
-    assert np.trace(followed) == pytest.approx(2.0)
+    frequency = np.sqrt(squares) / (2.0 * np.pi)
+    assert frequency == pytest.approx(modes.frequency[0, :count], rel=0.05)
 
 
 def test_a_robot_of_stiff_cables_has_no_more_ways_than_cables_leave():
     robot = ct.load_robot("carosac")
     stiff = replace(
-        robot, axial_stiffness=100.0 * robot.axial_stiffness,
+        robot, axial_stiffness=1e3 * robot.axial_stiffness,
         linear_density=1e-3 * robot.linear_density,
     )  # fmt: skip
     assert count_ways(stiff) == 2 < count_ways(robot)

@@ -56,27 +56,6 @@ def test_the_mass_is_learned_from_tensions_at_rest():
     assert share == pytest.approx(0.05, abs=0.005)
 
 
-def test_sagging_cables_pull_as_springs_along_slow_motions():
-    """Tensions that the dynamics find at once, in a state beside one of rest."""
-    robot = ct.load_robot("scampi")
-    settings = settings_for(robot, USED)
-    model = DynamicModel(robot, settings)
-    rest = statics.inverse_kinematics(robot, [[-0.39, -4.63, 1.81]])
-    length = rest.unstrained_length[0]
-    state = RestStart(robot, settings, model.errors).state(0.0, length)
-    instant = 1e-5
-    state = model.step(state, length, length, instant).state
-    by = measured_tension(robot, state, state.tension, settings).by
-    soft = np.arange(state.errors.m)[state.errors.soft]
-    assert len(soft) == 2
-    for way in soft:
-        error = np.zeros(state.errors.size)
-        error[way] = 2e-4  # m kg^0.5
-        moved = model.step(state.corrected(error, state.covariance), length, length, instant).state
-        change = measured_tension(robot, state, moved.tension, settings).residual
-        assert by @ error == pytest.approx(change, abs=0.2 * np.abs(change).max())
-
-
 def test_tensions_against_each_other_are_left_out_of_eight_cables():
     robot = ct.load_robot("cogiro")
     state = at_rest(robot)
