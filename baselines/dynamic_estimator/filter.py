@@ -131,8 +131,7 @@ class DynamicFilter:
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] = s.length_bias_walk**2 * duration
         noise = np.diag(spread)
-        moved = slice(where.sway.start, where.speed.stop)
-        noise[moved, moved] = self._model.unknown_motion(duration, felt=inertial)
+        noise[where.motion, where.motion] = self._model.unknown_motion(s, duration, felt=inertial)
         return noise
 
     def _corrected(

@@ -19,6 +19,7 @@ class Errors:
         soft: Which ways to sway are on cables that give way, by their place among the ways.
         sway: Along the ways to sway, in `SwayBasis` coordinates, m of them [m kg^0.5].
         speed: Their rates [m kg^0.5/s].
+        motion: Both.
         wind: Force along x and y of W [N].
         mass: Logarithm of the platform's mass.
         center: Centre of mass in P [m].
@@ -35,6 +36,7 @@ class Errors:
         self.soft = slice(0, m - max(0, 6 - n))
         self.sway = slice(0, m)
         self.speed = slice(m, 2 * m)
+        self.motion = slice(0, 2 * m)
         self.wind = slice(2 * m, 2 * m + 2)
         self.mass = slice(2 * m + 2, 2 * m + 3)
         self.center = slice(2 * m + 3, 2 * m + 6)
@@ -91,7 +93,7 @@ class DynamicFilterState:
         return Errors(n, m, cells=len(self.cell_bias) > 0)
 
     def pose_by(self) -> Array:
-        """Return the pose error per error, shape (6, size): cables leave no other."""
+        """Return the pose error per error, shape (6, size); there is no other."""
         where = self.errors
         by = np.zeros((6, where.size))
         by[:, where.sway] = self.sway.ways

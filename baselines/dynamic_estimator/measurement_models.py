@@ -64,7 +64,7 @@ class MeasurementModels:
         """
         where = self._errors
         carry = np.eye(where.size)
-        carry[: 2 * where.m, : where.moving] = move.sway
+        carry[where.motion, : where.moving] = move.sway
         keep = float(np.exp(-duration / self._settings.wind_time))
         carry[where.wind, where.wind] *= keep
         return carry, keep

@@ -52,8 +52,8 @@ class LinearisedStep:
 class DynamicModel:
     """The dynamics of one robot, for one estimate and its neighbours.
 
-    The stretch of the cables is damped more than it is in truth: its vibrations are not of
-    interest, and the noise of the readings would excite them.
+    The stretch of the cables is damped more than it is in truth: the noise of the readings would
+    excite its vibrations.
 
     Attributes:
         robot: The nominal one.
@@ -63,7 +63,13 @@ class DynamicModel:
     def __init__(
         self, robot: Robot, settings: DynamicEstimatorSettings, *, soft: bool = True
     ) -> None:
-        """Allocate for a robot of n cables; only those that are not `soft` never give way."""
+        """Allocate for a robot of n cables.
+
+        Args:
+            robot: The nominal one.
+            settings: Of the estimator.
+            soft: Whether motions on cables that sag and stretch are ways to sway.
+        """
         self.robot = robot
         ways = count_ways(robot) if soft else max(0, 6 - robot.n)
         self.errors = Errors(robot.n, ways, cells=settings.load_cells)
@@ -74,9 +80,6 @@ class DynamicModel:
         steps[where.wind], steps[where.mass] = WIND_STEP.of(ratios), LOG_MASS_STEP
         steps[where.center] = steps[where.bias] = LENGTH_STEP.of(ratios)
         self._steps = steps
-        density = np.full((2, where.m), settings.acceleration_noise)
-        density[1, where.soft] = max(settings.soft_acceleration_noise, settings.acceleration_noise)
-        self._unknown_acceleration = density * np.sqrt(robot.mass)
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(
             replace(robot, axial_damping=damping), 1 + where.moving, time_step=settings.time_step
@@ -122,20 +125,27 @@ class DynamicModel:
             stretched=self._stretched(arrived),
         )
 
-    def unknown_motion(self, duration: float, *, felt: bool = False) -> Array:
+    def unknown_motion(
+        self, settings: DynamicEstimatorSettings, duration: float, *, felt: bool = False
+    ) -> Array:
         """Return what accelerations that the model does not know add to the covariance.
 
         Args:
+            settings: Say how large they are.
             duration: For which they act [s].
             felt: Whether an IMU feels them, with the waves of the cables.
 
         Returns:
             Of sway and speed, shape (2 m, 2 m).
         """
+        density = np.full(self.errors.m, settings.acceleration_noise)
+        if felt:
+            most = max(settings.soft_acceleration_noise, settings.acceleration_noise)
+            density[self.errors.soft] = most
         rates = np.array([
             [duration**3 / 3.0, duration**2 / 2.0], [duration**2 / 2.0, duration]
         ])  # fmt: skip
-        return np.kron(rates, np.diag(self._unknown_acceleration[int(felt)] ** 2))
+        return np.kron(rates, self.robot.mass * np.diag(density**2))
 
     def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
         """Return the estimate and one neighbour per error: motions, masses, centres and biases."""

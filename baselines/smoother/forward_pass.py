@@ -156,8 +156,7 @@ class ForwardModel:
         spread[where.mass.start : where.center.stop] = 0.0
         spread[where.imu] = 0.0
         noise = np.diag(spread)
-        moved = slice(where.sway.start, where.speed.stop)
-        noise[moved, moved] += self._model.unknown_motion(duration)
+        noise[where.motion, where.motion] += self._model.unknown_motion(s, duration)
         return noise
 
 

@@ -32,10 +32,7 @@ def lengths(robot):
 
 
 def test_sources_add_up_to_what_the_estimator_claims(robot, lengths):
-    """The covariance of the filter itself, on the same lengths, for sizes in no proportion.
-
-    It takes shorter steps, and motions on sagging cables are fast enough for a tenth.
-    """
+    """The covariance of the filter itself, on the same lengths, for sizes in no proportion."""
     told = replace(robot, model_error=ERROR)
     growth = error_growth(
         told, lambda t: np.array([np.interp(t, TIME, c) for c in lengths.T]), TIME
@@ -54,8 +51,8 @@ def test_sources_add_up_to_what_the_estimator_claims(robot, lengths):
         claimed.append(belief.covariance[0, :6, :6])
     for found, wanted in zip(whole[1:], claimed[1:], strict=True):
         size = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-        assert np.abs(found - wanted).max() <= 0.1 * size.max()
-        assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.12)
+        assert np.abs(found - wanted).max() <= 0.05 * size.max()
+        assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.05)
 
 
 def test_an_identified_robot_takes_the_place_of_defaults_but_not_of_what_the_user_sets(robot):
