@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -32,39 +31,34 @@ class ReferenceRows:
     """Times ahead of now, in rows of a reference.
 
     Attributes:
-        row: The row before each, K of them; a slice, which takes no copy, where they are in turn.
-        next_row: The row after each.
-        share: Of the way to the next row, shape (K, 1).
+        pick: Rows in turn, which take no copy; None where times lie between rows, or apart.
+        weights: Of the rows up to the last one at each of K times, shape (K, last_row + 1).
         last_row: The last one that is looked at.
-        between: Whether any lies between rows.
     """
 
-    row: NDArray[np.intp] | slice
-    next_row: NDArray[np.intp] | slice
-    share: Array
+    pick: slice | None
+    weights: Array
     last_row: int
-    between: bool
 
     @classmethod
     def of(cls, ahead: Sequence[float] | Array) -> ReferenceRows:
         """Split times in periods into rows and shares."""
-        row = np.floor(np.array(ahead) + ROW_TOLERANCE).astype(np.intp)
-        share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
-        return cls(
-            row=_in_turn(row), next_row=_in_turn(row + 1), share=share,
-            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROW_TOLERANCE).any()),
-        )  # fmt: skip
+        times = np.array(ahead, dtype=np.float64)
+        row = np.floor(times + ROW_TOLERANCE).astype(np.intp)
+        share = times - row
+        last = int(row.max(initial=0)) + 1
+        weights = np.zeros((len(times), last + 1))
+        weights[np.arange(len(times)), row] = 1.0 - share
+        weights[np.arange(len(times)), row + 1] = share
+        in_turn = bool((np.diff(row) == 1).all() and (share <= ROW_TOLERANCE).all())
+        first = int(row[0]) if len(row) else 0
+        pick = slice(first, first + len(row)) if in_turn else None
+        return cls(pick=pick, weights=weights, last_row=last)
 
     def rows(self, values: Array, size: int) -> Array:
         """Interpolate values of B or one for all, (1 or B, N, 3), at these times: (B, K, 3)."""
-        rows: Array = values[:, self.row]
-        if self.between:
-            rows = (1.0 - self.share) * rows + self.share * values[:, self.next_row]
+        if self.pick is not None:
+            rows: Array = values[:, self.pick]
+        else:
+            rows = self.weights @ values[:, : self.last_row + 1]
         return rows if len(rows) == size else np.broadcast_to(rows, (size, *rows.shape[1:]))
-
-
-def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return consecutive rows as a slice, and others as they are."""
-    if len(rows) == 0:
-        return slice(0)
-    return slice(int(rows[0]), int(rows[-1]) + 1) if (np.diff(rows) == 1).all() else rows

@@ -7,6 +7,8 @@ acceleration than the plan has left them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
@@ -24,6 +26,7 @@ class ExcessFilter:
 
     Attributes:
         value: Now [m], shape (n,).
+        rate: [m/s], shape (n,).
     """
 
     def __init__(self, robot: Robot, period: float) -> None:
@@ -35,11 +38,25 @@ class ExcessFilter:
     def reset(self, excess: Array) -> None:
         """Begin at rest with an excess [m], shape (n,); 0 where it is NaN."""
         self.value = np.where(np.isfinite(excess), excess, 0.0)
-        self._rate = np.zeros_like(self.value)
+        self.rate = np.zeros_like(self.value)
 
     def approach(self, excess: Array) -> None:
         """Move towards an excess [m], shape (n,); cables for which it is NaN come to rest."""
         error = np.where(np.isfinite(excess), excess - self.value, 0.0)
+        self.take(*self.after(self.value, self.rate, error))
+
+    def after(self, value: Any, rate: Any, error: Any) -> tuple[Any, Any]:
+        """Return value and rate a command later, of arrays or of expressions.
+
+        Args:
+            value: Now [m], shape (n,).
+            rate: [m/s], shape (n,).
+            error: Of the value, to what it moves to [m], shape (n,).
+        """
         share = self._period / self._duration  # backward Euler is stable for all of it
-        self._rate = (self._rate + share / self._duration * error) / (1.0 + share) ** 2
-        self.value = self.value + self._period * self._rate
+        rate = (rate + share / self._duration * error) / (1.0 + share) ** 2
+        return value + self._period * rate, rate
+
+    def take(self, value: Array, rate: Array) -> None:
+        """Take a value [m] and rate [m/s] as those of now, each (n,)."""
+        self.value, self.rate = value, rate

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from baselines.mpc.arithmetic import NUMBERS, Arithmetic
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Ratios, Scaled
 
@@ -19,6 +22,7 @@ class LengthOffsets:
     Attributes:
         offset: Sent minus modelled [m], shape (n,).
         slack: What lengths differ by so suddenly that it is no offset [m], shape (n,).
+        most: Bounds of the offset [m], shape (n,).
     """
 
     def __init__(self, n: int, *, period: float, ratios: Ratios) -> None:
@@ -30,7 +34,7 @@ class LengthOffsets:
     def reset(self) -> None:
         """Forget everything."""
         self.offset, self.slack = np.zeros((2, self._n))
-        self._most = np.full(self._n, self._offset_max)
+        self.most = np.full(self._n, self._offset_max)
 
     @property
     def surplus(self) -> Array:
@@ -40,12 +44,12 @@ class LengthOffsets:
     @property
     def kept(self) -> Array:
         """Offset within its bounds [m], shape (n,)."""
-        return np.asarray(np.minimum(np.maximum(self.offset, -self._most), self._most))
+        return np.asarray(NUMBERS.within(self.offset, -self.most, self.most))
 
     def rebase(self, missing: Array) -> None:
         """Take what lengths differ by as offset, whatever it is."""
         self.offset, self.slack = missing, np.zeros(self._n)
-        self._most = np.maximum(self._most, np.abs(missing))
+        self.most = np.maximum(self.most, np.abs(missing))
 
     def learn(self, missing: Array) -> None:
         """Take a share of what the lengths differ by as offset, and what is far off as slack.
@@ -53,10 +57,27 @@ class LengthOffsets:
         A slack cable is longer than its chord, and says nothing about where the platform is. Were
         that an offset, it would be sent for ever, and the cable would stay slack.
         """
+        self.take(*self.after(self.offset, self.most, missing))
+
+    def after(
+        self, offset: Any, most: Any, missing: Any, do: Arithmetic = NUMBERS
+    ) -> tuple[Any, Any, Any]:
+        """Return offset, slack and bounds of the offset [m] a command later.
+
+        Args:
+            offset: Now [m], shape (n,).
+            most: Its bounds [m], shape (n,).
+            missing: What the lengths differ by [m], shape (n,).
+            do: Operations of arrays, or of expressions.
+        """
         share = self._share
-        self._most = self._most + share * (self._offset_max - self._most)
-        error = missing - self.offset
-        near = np.minimum(np.maximum(error, -self._slack_excess), self._slack_excess)
-        self.slack = (1.0 - share) * (error - near)
-        self.offset = self.offset + share * near
-        self.offset = self.offset + share * (self.kept - self.offset)
+        most = most + share * (self._offset_max - most)
+        error = missing - offset
+        near = do.within(error, -self._slack_excess, self._slack_excess)
+        slack = (1.0 - share) * (error - near)
+        offset = offset + share * near
+        return offset + share * (do.within(offset, -most, most) - offset), slack, most
+
+    def take(self, offset: Array, slack: Array, most: Array) -> None:
+        """Take an offset, slack and the offset's bounds [m] as those of now, each (n,)."""
+        self.offset, self.slack, self.most = offset, slack, most

@@ -13,9 +13,11 @@ its middle that motion would grow from tick to tick, and with it every command a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.mpc.arithmetic import NUMBERS, Arithmetic
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.scales import Scales
@@ -24,45 +26,156 @@ from carosac_toolkit.robot.robot import Robot
 REST_SPEED_MAX = Scaled(5e-3, "m/s")
 LIMIT_MARGIN = 1e-3  # of the limits, kept clear of rounding
 JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
+CUT_MIN = 1e-9  # [m] by which a command within limits differs from the one that was wanted
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WinchRange:
-    """Range of the next command.
+    """Range of the next command, or of an acceleration.
 
     Attributes:
-        low: [m], shape (n,).
-        high: [m], shape (n,).
+        low: [m] or [m/s^2], shape (n,).
+        high: The same.
     """
 
-    low: Array
-    high: Array
+    low: Any
+    high: Any
+
+
+class WinchState(NamedTuple):
+    """Of winches at a tick: arrays (n,), or expressions of CasADi.
+
+    Attributes:
+        length: That they have if all goes as planned, unstrained [m].
+        rate: [m/s].
+        sent: The last command [m].
+        speed: By which it differs from the one before [m/s].
+        acceleration: By which that differs from the speed before [m/s^2].
+    """
+
+    length: Any
+    rate: Any
+    sent: Any
+    speed: Any
+    acceleration: Any
+
+
+class WinchFormulas:
+    """What winches do in a tick, of arrays or of expressions."""
+
+    def __init__(
+        self, robot: Robot, *, period: float, jerk_max: float, arithmetic: Arithmetic = NUMBERS
+    ) -> None:
+        """Take the robot, the time between two commands [s], and the jerk limit [m/s^3]."""
+        self._do, self._period, self._jerk_max = arithmetic, period, jerk_max
+        constant = arithmetic.constant
+        self._speed_max = constant((1.0 - LIMIT_MARGIN) * robot.speed_max)
+        self._most = constant((1.0 - LIMIT_MARGIN) * robot.acceleration_max)
+        self._length_min, self._length_max = constant(robot.length_min), constant(robot.length_max)
+        self._lead = constant(np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period))
+        self._change = jerk_max * period * (1.0 - JERK_LIMIT_MARGIN)
+
+    def command_range(self, state: WinchState) -> WinchRange:
+        """Return the commands within all limits; that of acceleration goes first."""
+        do, h, most, speed = self._do, self._period, self._most, self._speed_max
+        now = state.acceleration
+        low = do.most(-most, do.least(now - self._change, most))
+        high = do.least(most, do.most(now + self._change, -most))
+        # Lead to the limits smoothly: what jerk takes to end an acceleration is kept free.
+        room = 0.5 * now * do.size(now) / self._jerk_max
+        low_speed = do.within((-speed - state.speed - do.least(room, 0.0)) / h, low, high)
+        high_speed = do.within((speed - state.speed - do.most(room, 0.0)) / h, low, high)
+        ahead = state.sent + h * state.speed
+        low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
+        return WinchRange(
+            low=do.within(self._length_min, low_length, high_length),
+            high=do.within(self._length_max, low_length, high_length),
+        )
+
+    def acceleration_range(self, state: WinchState, allowed: WinchRange) -> WinchRange:
+        """Return the length accelerations in this tick that keep the command in range [m/s^2]."""
+        base, gain = self._response(state)
+        return WinchRange(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
+
+    def follow(
+        self, state: WinchState, allowed: WinchRange, length: Any, rate: Any
+    ) -> tuple[WinchState, Any]:
+        """Return the state that comes of a length and rate to have by the next tick.
+
+        Args:
+            state: Now.
+            allowed: Commands within all limits.
+            length: [m], shape (n,).
+            rate: [m/s], shape (n,).
+
+        Returns:
+            The state, whose `sent` is the command, and which of these were cut, shape (n,).
+        """
+        wanted = length + self._lead * rate
+        command = self._do.within(wanted, allowed.low, allowed.high)
+        cut = self._do.size(command - wanted) > CUT_MIN
+        drifted, forced = self._answer(state, command)
+        choose = self._do.choose
+        return (
+            self._next(state, command, choose(cut, drifted, length), choose(cut, forced, rate)),
+            cut,
+        )
+
+    def note(self, state: WinchState, command: Any) -> WinchState:
+        """Return the state that comes of a command [m]."""
+        return self._next(state, command, *self._answer(state, command))
+
+    def _answer(self, state: WinchState, command: Any) -> tuple[Any, Any]:
+        """Return length and rate at the end of the tick that follow from a command."""
+        base, gain = self._response(state)
+        forced = state.rate + self._period * (command - base) / gain
+        return state.length + 0.5 * self._period * (state.rate + forced), forced
+
+    def _next(self, state: WinchState, command: Any, length: Any, rate: Any) -> WinchState:
+        speed = (command - state.sent) / self._period
+        return WinchState(
+            length=length, rate=rate, sent=command, speed=speed,
+            acceleration=(speed - state.speed) / self._period,
+        )  # fmt: skip
+
+    def _response(self, state: WinchState) -> tuple[Any, Any]:
+        """Return the command without acceleration, and its change per acceleration."""
+        h, lead = self._period, self._lead
+        return state.length + (h + lead) * state.rate, 0.5 * h * h + h * lead
 
 
 class WinchReference:
     """Length and rate that the winches have at the next tick if all goes as planned.
 
     Attributes:
-        length: Unstrained [m], shape (n,).
-        rate: [m/s], shape (n,).
+        state: Now.
         held: Whether the last command was changed to keep it within limits.
     """
 
     def __init__(self, robot: Robot, *, period: float, jerk_max: float) -> None:
-        self._robot, self._period, self._jerk_max = robot, period, jerk_max
+        self._robot, self._period = robot, period
+        self._formulas = WinchFormulas(robot, period=period, jerk_max=jerk_max)
         self._rest_speed = REST_SPEED_MAX.of(Scales(robot).ratios)
-        self._lead = np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period)
 
     def reset(self, length: Array) -> None:
         """Let the winches rest at a length [m], shape (n,)."""
-        self.length = np.array(length)
-        self.rate = np.zeros_like(self.length)
+        still = np.zeros(len(length))
+        length = np.array(length)
         self.held = False
-        self._sent = np.array(length)
-        self._speed = np.zeros_like(self.length)
-        self._acceleration = np.zeros_like(self.length)
-        self._before = self._state()
+        self.state = self._before = WinchState(
+            length=length, rate=still, sent=length, speed=still, acceleration=still
+        )
         self._range: WinchRange | None = None
+
+    @property
+    def length(self) -> Array:
+        """Unstrained [m], shape (n,)."""
+        return np.asarray(self.state.length)
+
+    @property
+    def rate(self) -> Array:
+        """[m/s], shape (n,)."""
+        return np.asarray(self.state.rate)
 
     @property
     def at_rest(self) -> bool:
@@ -73,38 +186,18 @@ class WinchReference:
     def braked(self) -> Array:
         """The next command if the winches are to rest as soon as they can [m], shape (n,)."""
         change = self._robot.acceleration_max * self._period * (1.0 - LIMIT_MARGIN)
-        speed = self._speed - _within(self._speed, -change, change)
-        return np.asarray(self._sent + self._period * speed)
+        speed = self.state.speed - NUMBERS.within(self.state.speed, -change, change)
+        return np.asarray(self.state.sent + self._period * speed)
 
     def command_range(self) -> WinchRange:
         """Return the commands within all limits; that of acceleration goes first."""
         if self._range is None:  # once a tick
-            self._range = self._allowed()
+            self._range = self._formulas.command_range(self.state)
         return self._range
-
-    def _allowed(self) -> WinchRange:
-        robot, h, keep = self._robot, self._period, 1.0 - LIMIT_MARGIN
-        change = self._jerk_max * h * (1.0 - JERK_LIMIT_MARGIN)
-        most = robot.acceleration_max * keep
-        low = np.maximum(-most, np.minimum(self._acceleration - change, most))
-        high = np.minimum(most, np.maximum(self._acceleration + change, -most))
-        speed = keep * robot.speed_max
-        # Lead to the limits smoothly: what jerk takes to end an acceleration is kept free.
-        room = 0.5 * self._acceleration * np.abs(self._acceleration) / self._jerk_max
-        low_speed = _within((-speed - self._speed - np.minimum(room, 0.0)) / h, low, high)
-        high_speed = _within((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
-        ahead = self._sent + h * self._speed
-        low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
-        return WinchRange(
-            low=_within(robot.length_min, low_length, high_length),
-            high=_within(robot.length_max, low_length, high_length),
-        )
 
     def acceleration_range(self) -> WinchRange:
         """Return the length accelerations in this tick that keep the command in range [m/s^2]."""
-        allowed = self.command_range()
-        base, gain = self._response()
-        return WinchRange(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
+        return self._formulas.acceleration_range(self.state, self.command_range())
 
     def follow(self, length: Array, rate: Array) -> Array:
         """Return the command that brings the winches to a length and rate by the next tick.
@@ -116,55 +209,25 @@ class WinchReference:
         Returns:
             The command [m], shape (n,).
         """
-        wanted = length + self._lead * rate
-        allowed = self.command_range()
-        command = _within(wanted, allowed.low, allowed.high)
-        cut = np.abs(command - wanted) > 1e-9
-        self.held = bool(cut.any())
-        self._before = self._state()
-        if self.held:
-            drifted, forced = self._answer(command)
-            length, rate = np.where(cut, drifted, length), np.where(cut, forced, rate)
-        self._keep(command, np.array(length), np.array(rate))
-        return command
+        state, cut = self._formulas.follow(self.state, self.command_range(), length, rate)
+        self.take(state, held=bool(cut.any()))
+        return np.asarray(state.sent)
+
+    def take(self, state: WinchState, *, held: bool) -> None:
+        """Take the state that comes of a command in this tick."""
+        self._before, self.state, self.held, self._range = self.state, state, held, None
 
     def note(self, command: Array) -> None:
         """Take note of a command [m] (n,) of someone else in this tick."""
-        self._before = self._state()
-        self._keep(command, *self._answer(command))
+        self.take(self._formulas.note(self.state, command), held=self.held)
 
     def instead(self, command: Array) -> None:
         """Take note of a command [m] (n,) that was sent in place of the last one."""
-        self.length, self.rate, self._sent, self._speed, self._acceleration = self._before
+        self.state = self._before
         self.note(command)
-
-    def _state(self) -> tuple[Array, Array, Array, Array, Array]:
-        return self.length, self.rate, self._sent, self._speed, self._acceleration
-
-    def _answer(self, command: Array) -> tuple[Array, Array]:
-        """Return length and rate at the end of the tick that follow from a command."""
-        base, gain = self._response()
-        forced = self.rate + self._period * (command - base) / gain
-        return self.length + 0.5 * self._period * (self.rate + forced), forced
-
-    def _keep(self, command: Array, length: Array, rate: Array) -> None:
-        self.length, self.rate = length, rate
-        speed = (command - self._sent) / self._period
-        self._acceleration = (speed - self._speed) / self._period
-        self._speed, self._sent, self._range = speed, command, None
 
     def accelerate(self, acceleration: Array) -> Array:
         """Return the command for a length acceleration in this tick [m/s^2], shape (n,)."""
         h = self._period
         rate = self.rate + h * acceleration
         return self.follow(self.length + 0.5 * h * (self.rate + rate), rate)
-
-    def _response(self) -> tuple[Array, Array]:
-        """Return the command without acceleration, and its change per acceleration."""
-        h, lead = self._period, self._lead
-        return self.length + (h + lead) * self.rate, 0.5 * h * h + h * lead
-
-
-def _within(values: Array, low: Array, high: Array) -> Array:
-    """Return values within bounds, as `numpy.clip`, which takes its time with small arrays."""
-    return np.asarray(np.minimum(np.maximum(values, low), high))

@@ -52,6 +52,7 @@ from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
 APART = "lengths apart from the belief"
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
+NO_TURN = np.zeros(3)  # of a state about the believed rotation
 CABLES_MAX = 5  # more leave no sway, and hold the attitude, which is no input
 
 
@@ -96,11 +97,14 @@ class PlanFollower:
         self.grid = times_of(stage_durations(self.settings))
         self._rows = ReferenceRows.of(self.grid / self.period)
         self.horizon = self.period * float(self._rows.last_row)
-        self._motion = FastMotion(robot.n)
         self._offsets = LengthOffsets(robot.n, period=self.period, ratios=self.ratios)
         self._excess = ExcessFilter(robot, self.period)
         jerk_max = self.settings.jerk_max or scales.jerk(self.period)
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
+        self._motion = FastMotion(
+            robot, period=self.period, jerk_max=jerk_max,
+            offsets=self._offsets, excess=self._excess,
+        )  # fmt: skip
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
         self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * equal_energy(robot)
@@ -146,8 +150,7 @@ class PlanFollower:
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
         """Return what the next plan depends on, and why there must be none, or nothing."""
         position, rotation, twist = belief.position[0], belief.rotation[0], self._twist(belief)
-        ridden = np.abs(self._free - self._geometry.free).max()
-        if self._turns or ridden > RIDING_SHARE * self._geometry.free.max():
+        if self._turns or np.abs(self._free - self._geometry.free).max() > self._ridden:
             self._place(geometry_at(self.robot, position, rotation))
         told = belief.center_of_mass
         if told is not None and np.abs(told[0] - self._center).max() > self._center_step:
@@ -156,25 +159,24 @@ class PlanFollower:
         parameters = self._motion.parameters
         parameters[self._blocks["rotation"]] = rotation.T.ravel()
         parameters[self._blocks["disturbance"]] = self._acceleration
-        state = self._state
-        state[:3], state[3:6], state[6:] = position, 0.0, twist
+        state = self._state = np.concatenate([position, NO_TURN, twist])
         self._base = rotation
         predicted = twist if self._after is None else self._after[0][6:]
-        self._free, innovation = self._motion.look(state, predicted)
-        missing = self._winches.length - self._excess.value - self._wrapped - self._free
-        distance = float(np.abs(missing - self._offsets.kept).max())
+        seen = self._motion.look(
+            state, predicted, self._offsets,
+            sent=self._winches.length - self._excess.value - self._wrapped,
+            rate=self._winches.rate,
+        )  # fmt: skip
+        self._free = seen.free
         target = self._target(reference, position, rotation, float(belief.time[0]))
-        reason = self._reason(distance, target.position[0], position)
+        reason = self._reason(seen.distance, target.position[0], position)
         if not reason:
-            self._offsets.learn(missing)
+            self._offsets.take(*seen.offset)
             if not self._offsets.slack.any():
-                self._learn(innovation, told=told is not None)
-            wanted = self._winches.length - self._excess.value - self._wrapped
-            state[:], rotation = self._motion.project(
-                state, wanted - self._offsets.surplus, self._winches.rate
-            )
+                self._learn(seen.innovation, told=told is not None)
+            self._state, rotation = seen.state, seen.rotation
             parameters[self._blocks["disturbance"]] = self._acceleration
-            position, twist = state[:3].copy(), state[6:].copy()
+            position, twist = seen.state[:3], seen.state[6:]
         if self._usual_place is None:
             self._usual_place = target.position[0]
             self._usual_tension = self._targets.at(target.position[0])
@@ -203,18 +205,18 @@ class PlanFollower:
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)
         self._pull = tension
-        allowed = self._winches.acceleration_range()
-        after, free, rate, tension = self._motion.advance(
-            self._state, tension, self.period, allowed.low, allowed.high
-        )
-        self._excess.approach(excess)
-        self._after = after, self._base
+        ahead = self._motion.advance(
+            self._state, tension, excess, self._excess,
+            self._wrapped + self._offsets.surplus, self._winches.state,
+        )  # fmt: skip
+        self._excess.take(*ahead.excess)
+        self._winches.take(ahead.winches, held=ahead.held)
+        self._after = ahead.state, self._base
         share = self.habit_share
-        self._usual_tension = self._usual_tension + share * (tension - self._usual_tension)
+        self._usual_tension = self._usual_tension + share * (ahead.tension - self._usual_tension)
         assert self._usual_place is not None
         self._usual_place = self._usual_place - share * inputs.usual_place
-        length = free + self._wrapped + self._excess.value + self._offsets.surplus
-        return self._winches.follow(length, rate)
+        return np.asarray(ahead.winches.sent)
 
     def instead(self, sent: Array) -> None:
         """Take note of a command [m] (n,) that was sent in place of the last one of `follow`."""
@@ -254,6 +256,7 @@ class PlanFollower:
     def _place(self, geometry: Geometry) -> None:
         """Bring the parameters of the model up to date."""
         self._geometry = geometry
+        self._ridden = RIDING_SHARE * geometry.free.max()
         self._wrapped = geometry.length - geometry.free
         self._motion.parameters[:] = model.parameters(
             self.robot, rotation=np.eye(3), length=geometry.free, exits=geometry.exits,

@@ -1,18 +1,66 @@
-"""MPC's prediction model, evaluated as seldom as one command needs it.
+"""What a command does beside its network, in two CasADi functions.
 
-Three CasADi functions run in its virtual machine, in microseconds and without a compiler.
+They run in CasADi's virtual machine, in microseconds and without a compiler. Built of the formulas
+of `baselines.mpc`: its prediction model, length offsets, excess filter and winch reference.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.mpc import model
+from baselines.mpc.arithmetic import expressions
+from baselines.mpc.excess_filter import ExcessFilter
+from baselines.mpc.length_offsets import LengthOffsets
+from baselines.mpc.winch_reference import WinchFormulas, WinchState
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
-NEWTON_STEPS = 3  # onto lengths that a belief differs from by centimetres: to a micrometre
+# Onto lengths that a belief differs from by centimetres: to a micrometre, all of them with the
+# Jacobian of the first. Lengths of metres bend little over centimetres.
+NEWTON_STEPS = 3
+WINCHES = len(WinchState._fields)
+
+
+class Seen(NamedTuple):
+    """What a belief tells beside the lengths that were sent.
+
+    Attributes:
+        free: Straight free lengths [m], shape (n,).
+        innovation: What the twist has beyond its prediction, in the ways that the cables leave
+            free, shape (6,).
+        distance: Largest difference of lengths sent and believed, beside the offsets [m].
+        offset: Offsets, slack and bounds of the offsets thereafter [m], shape (3, n).
+        state: The nearest one whose cables have the lengths and rates that were sent, shape (12,).
+        rotation: Its rotation, shape (3, 3).
+    """
+
+    free: Array
+    innovation: Array
+    distance: float
+    offset: Array
+    state: Array
+    rotation: Array
+
+
+class Advanced(NamedTuple):
+    """What comes of tensions that are held for a period.
+
+    Attributes:
+        state: Of the model then, shape (12,).
+        tension: That give no more accelerations than winches have [N], shape (n,).
+        excess: Sag less stretch then, and its rate [m, m/s], shape (2, n).
+        winches: State then.
+        held: Whether the command was changed to keep it within limits.
+    """
+
+    state: Array
+    tension: Array
+    excess: Array
+    winches: WinchState
+    held: bool
 
 
 class FastMotion:
@@ -24,90 +72,138 @@ class FastMotion:
         parameters: As `baselines.mpc.model.parameters` returns them.
     """
 
-    def __init__(self, n: int) -> None:
-        """Build the functions for n cables."""
-        import casadi as ca
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        period: float,
+        jerk_max: float,
+        offsets: LengthOffsets,
+        excess: ExcessFilter,
+    ) -> None:
+        """Build the functions.
 
-        motion = model.continuous(n)
-        x, u = ca.SX.sym("x", model.STATE_SIZE), ca.SX.sym("u", n)
-        p, h = ca.SX.sym("p", motion.size1_in(2)), ca.SX.sym("h")
-        twist, length, rate = ca.SX.sym("twist", 6), ca.SX.sym("l", n), ca.SX.sym("r", n)
-        lengths, jacobian, along = _cables(ca, motion, x, p, n)
-        innovation = x[6:] - twist
-        seen = [lengths, innovation - along @ (jacobian @ innovation)]
-        options = {"cse": True}
-        look = ca.Function("look", [x, p, twist], [ca.densify(value) for value in seen], options)
-        moved = x
-        for _ in range(NEWTON_STEPS):
-            lengths, _, along = _cables(ca, motion, moved, p, n)
-            step = along @ (length - lengths)
-            moved = ca.vertcat(moved[:3] + step[:3], moved[3:6] + step[3:] / 4, moved[6:])
-        _, jacobian, along = _cables(ca, motion, moved, p, n)
-        moved = ca.vertcat(moved[:6], moved[6:] + along @ (rate - jacobian @ moved[6:]))
-        base = p[model.parameter_rows(n)["rotation"]]
-        turned = ca.vec(model.rotation_expression(ca, moved[3:6], base).T)  # row by row
-        project = ca.Function("project", [x, p, length, rate], [ca.densify(moved), turned], options)
-        low, high = ca.SX.sym("low", n), ca.SX.sym("high", n)
-        wanted = motion(x, u, p)[3][2 * n :]
-        allowed = ca.fmin(ca.fmax(wanted, low), high)
-        pull = u + ca.solve(ca.jacobian(wanted, u), allowed - wanted)
-        after = model.stage(n)(x, pull, p, h)[0]
-        path = motion(after, pull, p)[3]
-        advance = ca.Function(
-            "advance", [x, u, p, h, low, high], [after, path[: 2 * n], pull], options
-        )
-        self.parameters = np.zeros(p.numel())
-        size = model.STATE_SIZE
-        self._look = _Buffered(look, [np.zeros(size), self.parameters, np.zeros(6)])
-        self._project = _Buffered(
-            project, [np.zeros(size), self.parameters, np.zeros(n), np.zeros(n)]
-        )
-        self._advance = _Buffered(
-            advance,
-            [np.zeros(size), np.zeros(n), self.parameters, np.zeros(1), np.zeros(n), np.zeros(n)],
-        )
-        self._n = n
-
-    def look(self, state: Array, twist: Array) -> tuple[Array, Array]:
-        """Return straight free lengths (n,) [m] at a state, and what its twist has beyond another.
-
-        The latter (6,) in the ways that the cables leave free.
+        Args:
+            robot: Of n cables.
+            period: Time between two commands [s].
+            jerk_max: Of commands [m/s^3].
+            offsets: Whose formulas are taken.
+            excess: The same.
         """
-        lengths, innovation = self._look(state, None, twist)
-        return lengths, innovation
+        n = self._n = robot.n
+        motion = model.continuous(n)
+        self._before = _before(motion, n, offsets)
+        self._after = _after(motion, robot, period, jerk_max, excess)
+        self.parameters = np.zeros(motion.size1_in(2))
 
-    def project(self, state: Array, length: Array, rate: Array) -> tuple[Array, Array]:
-        """Return the nearest state whose cables have given straight lengths and rates.
+    def look(
+        self,
+        state: Array,
+        predicted: Array,
+        offsets: LengthOffsets,
+        *,
+        sent: Array,
+        rate: Array,
+    ) -> Seen:
+        """Return what a belief tells.
 
         Args:
             state: A believed one, shape (12,).
-            length: Straight, free [m], shape (n,).
-            rate: [m/s], shape (n,).
-
-        Returns:
-            The state (12,) and its rotation (3, 3).
+            predicted: Twist that was expected, shape (6,).
+            offsets: As they are now.
+            sent: Lengths that the winches have, straight and free but for offsets [m], shape (n,).
+            rate: Of the winches [m/s], shape (n,).
         """
-        moved, turned = self._project(state, None, length, rate)
-        return moved, turned.reshape(3, 3)
+        n = self._n
+        told = self._before(
+            state, self.parameters, predicted, offsets.offset, offsets.most, sent, rate
+        )
+        return Seen(
+            free=told[:n], innovation=told[n : n + 6], distance=float(told[n + 6]),
+            offset=told[n + 7 : 4 * n + 7].reshape(3, n), state=told[4 * n + 7 : 4 * n + 19],
+            rotation=told[4 * n + 19 :].reshape(3, 3),
+        )  # fmt: skip
 
     def advance(
-        self, state: Array, tension: Array, duration: float, low: Array, high: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return what comes of tensions that are held.
+        self, state: Array, tension: Array, excess: Array, filtered: ExcessFilter,
+        surplus: Array, winches: WinchState,
+    ) -> Advanced:  # fmt: skip
+        """Return what comes of tensions that are held for a period.
 
         Args:
             state: Now, shape (12,).
             tension: Wanted [N], shape (n,).
-            duration: For which they are held [s].
-            low: Least acceleration of lengths that winches have [m/s^2], shape (n,).
-            high: Largest, shape (n,).
-
-        Returns:
-            The state (12,) then, its lengths [m] and rates [m/s], and the tensions that give no
-            more than these accelerations, each (n,).
+            excess: Sag less stretch at its end [m], shape (n,).
+            filtered: As it is now.
+            surplus: What lengths sent have beyond straight ones and excess [m], shape (n,).
+            winches: State now.
         """
-        after, path, pull = self._advance(state, tension, None, np.array([duration]), low, high)
-        return after, path[: self._n], path[self._n :], pull
+        n = self._n
+        told = self._after(
+            state, self.parameters, tension, excess, filtered.value, filtered.rate, surplus,
+            *winches,
+        )  # fmt: skip
+        rows = told[12:].reshape(-1, n)
+        return Advanced(
+            state=told[:12], tension=rows[0], excess=rows[1:3],
+            winches=WinchState(*rows[3 : 3 + WINCHES]), held=bool(rows[3 + WINCHES].any()),
+        )  # fmt: skip
+
+
+def _before(motion: Any, n: int, offsets: LengthOffsets) -> _Packed:
+    """Build what comes before the network."""
+    import casadi as ca
+
+    do = expressions()
+    x, p, twist = (ca.SX.sym("s", size) for size in (model.STATE_SIZE, motion.size1_in(2), 6))
+    offset, most, sent, rate = (ca.SX.sym("s", n) for _ in range(4))
+    lengths, jacobian, along = _cables(ca, motion, x, p, n)
+    innovation = x[6:] - twist
+    missing = sent - lengths
+    distance = ca.mmax(do.size(missing - do.within(offset, -most, most)))
+    learned = offsets.after(offset, most, missing, do)
+    moved = x
+    for _ in range(NEWTON_STEPS):
+        error = sent - learned[0] - learned[1] - motion(moved, ca.SX.zeros(n), p)[3][:n]
+        step = along @ error
+        moved = ca.vertcat(moved[:3] + step[:3], moved[3:6] + step[3:] / 4, moved[6:])
+    _, there, pulled = _cables(ca, motion, moved, p, n)
+    moved = ca.vertcat(moved[:6], moved[6:] + pulled @ (rate - there @ moved[6:]))
+    base = p[model.parameter_rows(n)["rotation"]]
+    turned = ca.vec(model.rotation_expression(ca, moved[3:6], base).T)  # row by row
+    innovation = innovation - along @ (jacobian @ innovation)
+    return _Packed(
+        "before",
+        [x, p, twist, offset, most, sent, rate],
+        [lengths, innovation, distance, *learned, moved, turned],
+    )
+
+
+def _after(
+    motion: Any, robot: Robot, period: float, jerk_max: float, excess: ExcessFilter
+) -> _Packed:
+    """Build what comes after it."""
+    import casadi as ca
+
+    do, n = expressions(), robot.n
+    x, p = (ca.SX.sym("s", size) for size in (model.STATE_SIZE, motion.size1_in(2)))
+    u, target, value, rate, surplus, *now = (ca.SX.sym("s", n) for _ in range(5 + WINCHES))
+    winches = WinchState(*now)
+    formulas = WinchFormulas(robot, period=period, jerk_max=jerk_max, arithmetic=do)
+    commands = formulas.command_range(winches)
+    allowed = formulas.acceleration_range(winches, commands)
+    wanted = motion(x, u, p)[3][2 * n :]
+    within = do.within(wanted, allowed.low, allowed.high)
+    tension = u + ca.solve(ca.jacobian(wanted, u), within - wanted)
+    after = model.stage(n)(x, tension, p, period)[0]
+    path = motion(after, tension, p)[3]
+    moved = excess.after(value, rate, target - value)
+    then, cut = formulas.follow(winches, commands, path[:n] + surplus + moved[0], path[n : 2 * n])
+    return _Packed(
+        "after",
+        [x, p, u, target, value, rate, surplus, *now],
+        [after, tension, *moved, *then, cut],
+    )
 
 
 def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any]:
@@ -130,24 +226,25 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
     return path[:n], jacobian, ca.solve(jacobian @ pulled, pulled.T).T
 
 
-class _Buffered:
-    """A CasADi function on arrays of its own."""
+class _Packed:
+    """A CasADi function of vectors, which are one vector in its memory, and so are its values."""
 
-    def __init__(self, function: Any, inputs: list[Array]) -> None:
-        """Take arrays for its inputs; they are filled before each evaluation."""
-        self._buffer, self._evaluate = function.buffer()
-        self._inputs = inputs
-        self._outputs = [np.zeros(function.size1_out(i)) for i in range(function.n_out())]
-        for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, array.data)
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, array.data)
+    def __init__(self, name: str, inputs: list[Any], outputs: list[Any]) -> None:
+        """Build it of expressions."""
+        import casadi as ca
+
+        packed = ca.SX.sym("packed", sum(each.numel() for each in inputs))
+        values = ca.densify(ca.vertcat(*outputs))
+        values = ca.substitute(values, ca.vertcat(*inputs), packed)
+        function: Any = ca.Function(name, [packed], [values], {"cse": True})
         self._function = function
+        self._buffer, self._evaluate = function.buffer()
+        self._input, self._output = np.zeros(packed.numel()), np.zeros(values.numel())
+        self._buffer.set_arg(0, self._input.data)
+        self._buffer.set_res(0, self._output.data)
 
-    def __call__(self, *values: Array | None) -> list[Array]:
-        """Evaluate at values; None leaves an input as it is."""
-        for array, value in zip(self._inputs, values, strict=True):
-            if value is not None:
-                array[:] = value
+    def __call__(self, *values: Array) -> Array:
+        """Return the outputs, one after another."""
+        np.concatenate(values, out=self._input)
         self._evaluate()
-        return [array.copy() for array in self._outputs]
+        return self._output.copy()

@@ -30,7 +30,8 @@ from learned.policy_file import (
 PLAN_SCHEMA, PLAN_FOLDER = "carosac-plan/1", "plans"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
 BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
-INPUT_MAX = 1e6  # of the numbers that it reads
+INPUT_MAX = 1e7  # root of the sum of squares of the numbers that it reads
+ACTION = ["action"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +90,10 @@ class PlanNetwork:
         self._session = session
         robot = description.robot
         self._n = robot.n
-        self._middle, self._half = tension_range(robot)
+        middle, half = tension_range(robot)
+        one = np.ones(robot.n)
+        self._middle = np.concatenate([middle * one, 0.0 * one])
+        self._half = np.concatenate([half * one, description.excess_scale * one])
 
     @classmethod
     def load(cls, path: str | Path) -> PlanNetwork:
@@ -127,12 +131,13 @@ class PlanNetwork:
         Raises:
             InvalidField: One of them is not finite, or far from all that a robot does.
         """
-        if not np.abs(numbers).max() <= INPUT_MAX:
-            raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
+        if not numbers @ numbers <= INPUT_MAX**2:
+            allowed = f"up to {INPUT_MAX:g}, as a root of the sum of squares"
+            raise InvalidField("plan inputs", f"{np.linalg.norm(numbers):g}", allowed)
         seen = {"observation": numbers.astype(np.float32)[None]}
-        action = self._session.run(["action"], seen)[0][0].astype(np.float64)
-        tension = self._middle + self._half * action[: self._n]
-        return tension, self.description.excess_scale * action[self._n :]
+        (action,) = self._session.run(ACTION, seen)
+        told = self._middle + self._half * action[0]
+        return told[: self._n], told[self._n :]
 
     def check(self, robot: Robot) -> None:
         """Refuse a robot that the network was not trained for.
