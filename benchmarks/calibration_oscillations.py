@@ -33,15 +33,14 @@ from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
     simulate_oscillations,
 )
-from calibration.identification.unknowns import Coordinates, choose_coordinates
-from carosac_toolkit.base.arrays import Array
+from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.parameters import turn_between, values_of
+from carosac_toolkit.robot.parameters import values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
 
@@ -88,8 +87,8 @@ class Score:
         tilt: [rad].
         center: Of mass [m].
         nees: Normalised squared error of the parameters, over their number [1].
-        beyond: Coordinates of nearly linear motion that are off by more than three sigmas.
-        worst: The worst of them, by the parameter that it is of.
+        beyond: Parameters that are off by more than three sigmas.
+        worst: The worst of them.
         count: How many parameters were identified.
         seconds: Time of processors [s].
         wall: Time by the clock on two cores [s]; None: it ran on one.
@@ -111,22 +110,12 @@ class Score:
     code: str = ""
 
 
-def score(
-    unknowns: Coordinates, result: Identification, plant: Robot, runs: list[Recording]
-) -> Score:
-    """Compare an identified robot with the true one, in coordinates of nearly linear motion.
-
-    A Gaussian is right for these. Parameters that make up for each other, such as a stiffness and
-    the offset of a length, are known along a curve.
-    """
+def score(result: Identification, plant: Robot, runs: list[Recording]) -> Score:
+    """Compare an identified robot with the true one."""
     estimate = result.estimate
-    slope = _derivative(unknowns, result.robot)
-    off = _straight(unknowns, _coordinates(unknowns, result.robot)) - _straight(
-        unknowns, _coordinates(unknowns, plant)
-    )
-    covariance = slope @ estimate.covariance @ slope.T
-    shares = np.abs(off) / np.sqrt(np.diag(covariance))
-    worst = int(np.argmax(shares))
+    off = estimate.value - values_of(plant, estimate.names)
+    shares = off / estimate.sigma
+    worst = int(np.argmax(np.abs(shares)))
 
     def off_by(name: str) -> float:
         return float(abs(values_of(result.robot, [name]) / values_of(plant, [name]) - 1.0)[0])
@@ -137,68 +126,11 @@ def score(
         friction=max(off_by(name) for name in estimate.names if name in FRICTION),
         tilt=float(np.linalg.norm(tilt - values_of(plant, ["pose_tilt.x", "pose_tilt.y"]))),
         center=float(np.linalg.norm(result.robot.center_of_mass - plant.center_of_mass)),
-        nees=float(off @ np.linalg.solve(covariance, off) / len(off)),
-        beyond=int((shares > 3.0).sum()),
-        worst=f"{shares[worst]:.1f} {estimate.names[worst]}",
+        nees=float(shares @ np.linalg.solve(estimate.correlation, shares) / len(off)),
+        beyond=int((np.abs(shares) > 3.0).sum()),
+        worst=f"{abs(shares[worst]):.1f} {estimate.names[worst]}",
         count=len(off),
     )
-
-
-def _coordinates(unknowns: Coordinates, robot: Robot) -> Array:
-    """Return the coordinates (k,) of a robot, the inverse of `Coordinates.robot_at`."""
-    names, start = unknowns.prior.names, unknowns.robot
-    exits = robot.exit_points
-    if not unknowns.anchored:
-        exits = exits @ turn_between(start, robot)
-    before = values_of(start, names)
-    after = values_of(replace(robot, exit_points=exits), names)
-    for i, name in enumerate(names):
-        if name == "axial_stiffness":  # of the whole cable
-            after[i] *= (unknowns.reach + start.run_length[0]) / (
-                unknowns.reach + robot.run_length[0]
-            )
-        if name in FRICTION and "mass" in names:  # in proportion to the mass
-            after[i] *= start.mass / robot.mass
-        if name.startswith("inertia."):  # the spread of mass along an axis
-            k = "xyz".index(name[-1])
-            before[i], after[i] = (
-                0.5 * np.trace(each.inertia) - each.inertia[k, k] for each in (start, robot)
-            )
-    change = after - before
-    factor = unknowns.factor > 0.0
-    change[factor] = np.log(after[factor] / before[factor])
-    return np.asarray(change / unknowns.scale)
-
-
-def _straight(unknowns: Coordinates, at: Array) -> Array:
-    """Return coordinates (k,) in which motion is nearly linear.
-
-    Factors are themselves, and of a stiffness its inverse. Where no force and no mass is held,
-    motion depends only on their ratios to the platform's mass: then factors are of these ratios.
-    """
-    ratio, mass = at, None
-    if unknowns.alike is not None:
-        mass = unknowns.prior.names.index("mass")
-        ratio = at - unknowns.alike * (at[mass] / unknowns.alike[mass])
-    power, scale = unknowns.power, unknowns.scale
-    straight = np.where(unknowns.factor > 0.0, power * np.exp(power * scale * ratio) / scale, ratio)
-    if mass is not None:
-        straight[mass] = at[mass]
-    return np.asarray(straight)
-
-
-def _derivative(unknowns: Coordinates, robot: Robot) -> Array:
-    """Return the derivative of straight coordinates by parameters at a robot, shape (k, k)."""
-    at = _coordinates(unknowns, robot)
-    here = values_of(robot, unknowns.prior.names)
-    steps = DERIVATIVE_STEP * np.eye(len(at))  # bounds lie below
-    parameters = [values_of(unknowns.robot_at(at + step), unknowns.prior.names) for step in steps]
-    straight = [_straight(unknowns, at + step) for step in steps]
-    by_both = [
-        np.stack(ahead, axis=1) - np.asarray(start)[:, None]
-        for ahead, start in ((straight, _straight(unknowns, at)), (parameters, here))
-    ]
-    return np.asarray(by_both[0] @ np.linalg.inv(by_both[1]))
 
 
 def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:
@@ -250,7 +182,7 @@ def measure(
     wall, used = perf_counter(), process_time()
     result = identify_runs(runs, robot, settings)
     wall, used = perf_counter() - wall, process_time() - used
-    found = score(choose_coordinates(robot, settings), result, plant, runs)
+    found = score(result, plant, runs)
     alone = len(os.sched_getaffinity(0)) > 1
     found = replace(
         found,

@@ -18,6 +18,12 @@ from calibration.identification.error_noise import (
 from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, simulate_runs
 from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.spread import (
+    Spread,
+    moves_along,
+    moves_of_run,
+    symmetric_draws,
+)
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -28,9 +34,6 @@ FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
 # shorter ones its jumps count for more.
 STEP_OF_MANY = 5e-4
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
-MOVE_SIGMAS = 20.0  # for differences of finer time steps, along axes of the covariance
-MOVE_MAX = 0.5  # the same, of the coordinates
-TINY = 1e-12  # instead of no step
 # Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
 # where many recordings tell their sigmas, otherwise for each axis that counts.
 SETTLED_DECREASE = 0.1
@@ -69,7 +72,7 @@ class CoordinateFit:
 
     Attributes:
         coordinates: shape (k,).
-        covariance: shape (k, k); the unknown start is taken into account.
+        spread: How far off these may be; the unknown starts are taken into account.
         information: Fisher information of the data alone, shape (k, k), less what the unknown start
             takes from it.
         starts: Coordinates of the sway at the start of each run, shape (2 m,).
@@ -80,7 +83,7 @@ class CoordinateFit:
     """
 
     coordinates: Array
-    covariance: Array
+    spread: Spread
     information: Array
     starts: tuple[Array, ...]
     excess: float
@@ -135,6 +138,7 @@ class Fitter:
             + [run.sway.guess for run in runs]
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
+        self._wide: list[Array] | None = None  # derivatives over some sigmas
         self._rest: list[Array] = []  # what they make errors wrong by
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -188,13 +192,13 @@ class Fitter:
         own = slice(self._count)
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
-        covariance = root @ root.T  # rounding leaves the product of three too asymmetric
+        spread = self._spread(state, noise, root, inverse)
         information /= self._axes * excess
         for k, start in zip(left_out, self._anew(at, left_out), strict=True):
             at[self._own[k][self._count :]] = start
         return CoordinateFit(
             coordinates=at[own],
-            covariance=np.asarray(covariance[own, own], float),
+            spread=spread,
             information=self._marginal(information),
             starts=self._starts(at),
             excess=excess,
@@ -220,6 +224,33 @@ class Fitter:
         known = (information + self._precision)[start, start]
         cross = information[own, start]
         return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
+
+    def _spread(self, state: _Search, noise: PoseErrorNoise, root: Array, inverse: Array) -> Spread:
+        """Return how far off the robot may be.
+
+        Args:
+            state: Where the search ended.
+            noise: Of the errors there.
+            root: Of the covariance of all coordinates, to first order.
+            inverse: Of the information with the prior.
+        """
+        own = slice(self._count)
+        covariance = root @ root.T  # rounding leaves a product of three too asymmetric
+        straight = Spread.straight(np.asarray(covariance[own, own], float))
+        if not (self._many and self._sways):
+            return straight
+        room = np.where(self._searched, state.at - self._lower, 0.0)
+        draws = symmetric_draws(root, room)
+        points = np.concatenate([state.at[None], state.at + draws])
+        errors, good = self._simulated([points] * len(self._runs), self._time_step)
+        pull = np.zeros_like(draws)
+        for k in self._kept:
+            rows, jacobian = self._own[k], state.jacobians[k]
+            told = np.einsum("nci,di->dnc", jacobian, draws[:, rows])
+            beyond = noise.weights(state.errors[k]) * (errors[k][1:] - errors[k][0] - told)
+            pull[:, rows] += np.einsum("nci,dnc->di", jacobian, beyond)
+        exists = np.all([good[k][1:] for k in self._kept], axis=0)
+        return replace(straight, draws=draws[exists, own], bends=(-pull @ inverse)[exists, own])
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
@@ -407,12 +438,15 @@ class Fitter:
         That leads to where the search ends within a sigma, and exact ones lead to its end. Where
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
-        for each other show by less than a hundredth of what each of them does.
+        for each other show by less than a hundredth of what each of them does. Those of many
+        recordings are taken once, over so many sigmas that later steps stay within.
 
         All forces and masses by one factor give the same motion, so that those by the mass follow
         from the others. As a difference they would be wrong by a thousandth of themselves, and many
         recordings would seem to tell that factor.
         """
+        if self._wide is not None and (starts or not coarse):
+            return [self._of_starts(each) for each in self._wide] if starts else self._wide
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         alike = self._unknowns.alike if self._many and not starts else None
@@ -420,69 +454,69 @@ class Fitter:
             searched[self._mass] = False
         else:
             alike = None
-        ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
-        jacobians = self._slopes(at, searched, ratio * self._time_step)
-        if starts and self._finer is not None:
-            own = slice(self._count, None)
-            for each, more in zip(jacobians, self._finer, strict=True):
-                each[:, :, own] += more[:, :, own]
-        elif self._sways and not coarse:
-            if self._finer is None:  # once: what steps of the search change is of second order
-                moves = None if hessian is None else self._moves(at, searched, hessian)
-                fine = self._slopes(at, searched, self._time_step, refined=2, moves=moves)
-                rough = jacobians
-                if moves is not None:
-                    rough = self._slopes(at, searched, self._time_step, moves=moves)
-                self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
-            jacobians = [each + more for each, more in zip(jacobians, self._finer, strict=True)]
+        robot = searched[: self._count].any()
+        if robot and hessian is not None and self._sways and not coarse:
+            jacobians = self._wide = self._wide_slopes(at, searched, hessian)
+        else:
+            ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
+            jacobians = self._slopes(at, searched, ratio * self._time_step)
+            if self._sways and not coarse:
+                more = self._told_by_finer_steps(at, searched, jacobians)
+                jacobians = [each + own for each, own in zip(jacobians, more, strict=True)]
         if alike is not None:
             for each in jacobians:
                 each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
         return jacobians
 
-    def _moves(self, at: Array, searched: NDArray[np.bool_], hessian: Array) -> list[Array]:
-        """Return changes of what each run depends on that the data tell about equally well.
+    def _told_by_finer_steps(
+        self, at: Array, searched: NDArray[np.bool_], rough: Sequence[Array]
+    ) -> list[Array]:
+        """Return what derivatives of vanishing time steps have beyond rough ones.
 
-        Vibrations that averages leave change with the robot too, by little, but within a fraction
-        of its sigma. Derivatives of short steps would take that for knowledge. These steps go along
-        the axes of the covariance, many sigmas far, and the starts follow; the others are of the
-        start alone, likewise.
+        It is found once: what the search changes there is of second order.
+        """
+        if self._finer is None:
+            fine = self._slopes(at, searched, self._time_step, refined=2)
+            self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
+        return self._finer
+
+    def _of_starts(self, jacobian: Array) -> Array:
+        """Return derivatives (K, 6, p) by a start alone."""
+        alone = jacobian.copy()
+        alone[:, :, : self._count] = 0.0
+        return alone
+
+    def _wide_slopes(self, at: Array, searched: NDArray[np.bool_], hessian: Array) -> list[Array]:
+        """Return derivatives of vanishing time steps, over some sigmas to both sides.
 
         Args:
             at: All coordinates.
-            searched: Those that change.
+            searched: By which of them.
             hessian: Of the cost, about.
 
         Returns:
-            Of each run, shape (p, p): changes in rows, of those that it depends on and that change.
+            Of each run, shape (K, 6, p).
         """
-        count, size = self._count, STEP_OF_MANY
-        bound = at[:count] <= self._lower[:count] + size
-        free = np.flatnonzero(searched[:count] & ~bound)
-        start = np.arange(count, len(at))
-        known = hessian[np.ix_(start, start)]
-        follow = -np.linalg.solve(known, hessian[np.ix_(start, free)])
-        left = hessian[np.ix_(free, free)] + hessian[np.ix_(free, start)] @ follow
-        variance, axes = np.linalg.eigh(np.linalg.inv(left))
-        length = np.clip(MOVE_SIGMAS * np.sqrt(variance), size, MOVE_MAX)
-        whole = np.zeros((count, len(at)))
-        whole[:, :count] = size * np.eye(count)
-        whole[np.ix_(free, free)] = (axes * length).T
-        whole[np.ix_(free, start)] = whole[np.ix_(free, free)] @ follow.T
-        room = at[free] - self._lower[free]
-        for row in free:  # each the way that leads no coordinate below its bound, or as far as that
-            step = whole[row, free]
-            ahead, back = (np.min(room / np.maximum(-side * step, TINY)) for side in (1.0, -1.0))
-            whole[row] *= min(1.0, ahead) if ahead >= min(1.0, back) else -min(1.0, back)
-        moves = []
-        for own, rows in zip(self._own, self._varied(searched), strict=True):
-            begin = own[count:]
-            variance, axes = np.linalg.eigh(np.linalg.inv(hessian[np.ix_(begin, begin)]))
-            length = np.clip(MOVE_SIGMAS * np.sqrt(variance), size, MOVE_MAX)
-            ends = np.hstack([np.zeros((len(begin), count)), (axes * length).T])
-            which = np.isin(own, rows)
-            moves.append(np.vstack([whole[:, own], ends])[np.ix_(which, which)])
-        return moves
+        varied, size = self._varied(searched), STEP_OF_MANY
+        robot = moves_along(hessian, at, self._lower, searched, robot=self._count, size=size)
+        moves = [
+            moves_of_run(*robot, hessian, own, rows, size=size)
+            for own, rows in zip(self._own, varied, strict=True)
+        ]
+        points = [each.ends(at, rows) for each, rows in zip(moves, varied, strict=True)]
+        ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
+        errors, good = self._simulated(points, self._time_step)
+        finer, fine = self._simulated(ahead, self._time_step, refined=2)
+        jacobians = []
+        for k, move in enumerate(moves):
+            sound = good[k].copy()
+            sound[: len(fine[k])] &= fine[k]
+            self._check_motion(sound, varied[k], np.concatenate([move.steps, -move.steps]))
+            rough = errors[k][: len(fine[k])]
+            change = move.change(errors[k])
+            change += 4.0 / 3.0 * ((finer[k] - rough)[1:] - (finer[k] - rough)[0])
+            jacobians.append(self._by_coordinates(k, varied[k], move.steps, change))
+        return jacobians
 
     def _varied(self, searched: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
         """Return by which coordinates each run is differenced."""
@@ -492,48 +526,52 @@ class Fitter:
         ]
 
     def _slopes(
-        self,
-        at: Array,
-        searched: NDArray[np.bool_],
-        time_step: float,
-        *,
-        refined: int = 1,
-        moves: Sequence[Array] | None = None,
+        self, at: Array, searched: NDArray[np.bool_], time_step: float, *, refined: int = 1
     ) -> list[Array]:
-        """Return differences of errors over their width.
+        """Return differences of errors over short changes of one coordinate each.
 
         Args:
             at: All coordinates.
             searched: By which of them.
             time_step: At most [s].
             refined: Steps that each of these is divided into.
-            moves: Changes of each run as of `_moves`; None: of one coordinate each, short ones.
 
         Returns:
             Of each run, shape (K, 6, p).
         """
         size = STEP_OF_MANY if self._many else FINITE_DIFFERENCE_STEP
         varied = self._varied(searched)
-        if moves is None:
-            moves = [size * np.eye(len(rows)) for rows in varied]
         points = []
-        for rows, each in zip(varied, moves, strict=True):
-            ends = np.tile(at, (len(rows) + 1, 1))
-            ends[1:, rows] += each
+        for rows in varied:
+            ends = np.tile(at, (1 + len(rows), 1))
+            ends[1:, rows] += size * np.eye(len(rows))
             points.append(ends)
         errors, good = self._simulated(points, time_step, refined=refined)
         jacobians = []
-        for k, (move, each, sound) in enumerate(zip(moves, errors, good, strict=True)):
-            if not sound.all():
-                row = int(np.argmin(sound)) - 1
-                name = self._names[varied[k][np.argmax(np.abs(move[row]))]]
-                beside = "" if row < 0 else f" with another {name}"
-                raise CarosacError(f"identification: no finite motion of the robot{beside}")
-            jacobian = np.zeros((*each.shape[1:], len(self._own[k])))
-            differences = np.moveaxis(each[1:] - each[0], 0, 2)
-            jacobian[:, :, np.isin(self._own[k], varied[k])] = differences @ np.linalg.inv(move).T
-            jacobians.append(jacobian)
+        for k, (rows, each) in enumerate(zip(varied, errors, strict=True)):
+            steps = size * np.eye(len(rows))
+            self._check_motion(good[k], rows, steps)
+            jacobians.append(self._by_coordinates(k, rows, steps, each[1:] - each[0]))
         return jacobians
+
+    def _check_motion(
+        self, sound: NDArray[np.bool_], rows: NDArray[np.int64], steps: Array
+    ) -> None:
+        """Refuse a robot that does not move, here or after steps of some coordinates."""
+        if not sound.all():
+            row = int(np.argmin(sound)) - 1
+            name = "" if row < 0 else self._names[rows[np.argmax(np.abs(steps[row]))]]
+            beside = f" with another {name}" if name else ""
+            raise CarosacError(f"identification: no finite motion of the robot{beside}")
+
+    def _by_coordinates(
+        self, k: int, rows: NDArray[np.int64], steps: Array, change: Array
+    ) -> Array:
+        """Return derivatives (K, 6, p) of a run's errors from their change (p', K, 6) by steps."""
+        jacobian = np.zeros((*change.shape[1:], len(self._own[k])))
+        slope = np.moveaxis(change, 0, 2) @ np.linalg.inv(steps).T
+        jacobian[:, :, np.isin(self._own[k], rows)] = slope
+        return jacobian
 
     def _normal(
         self,

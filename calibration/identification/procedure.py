@@ -225,7 +225,7 @@ def _identify(
         fit = Fitter(unknowns, trained, chosen).run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
-    estimate = unknowns.estimate(fit.coordinates, fit.covariance)
+    estimate = unknowns.estimate(fit.coordinates, fit.spread)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
     judged = _model_error(identified, runs, after)

@@ -17,6 +17,7 @@ import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.spread import Spread
 from calibration.lengths.unknowns import is_anchored
 from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
@@ -143,12 +144,14 @@ class Coordinates:
         before = float(values_of(self.robot, (run,))[0])
         return float((self.reach + values[row]) / (self.reach + before))
 
-    def estimate(self, coordinates: Array, covariance: Array) -> ParameterEstimate:
+    def estimate(self, coordinates: Array, spread: Spread) -> ParameterEstimate:
         """Return the parameters themselves, with covariance and prior.
+
+        Where they are known along curves, the covariance is that of where their draws lead.
 
         Args:
             coordinates: Estimated, shape (k,).
-            covariance: Of the coordinates, shape (k, k).
+            spread: How far off they may be.
         """
 
         def values(at: Array) -> Array:
@@ -163,7 +166,12 @@ class Coordinates:
             return np.asarray(np.stack(columns, axis=1))
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
-        joint = slope @ covariance @ slope.T
+        joint = slope @ spread.covariance @ slope.T
+        if len(spread.draws):
+            there = np.array([values(coordinates + draw) for draw in spread.draws])
+            curved = there - values(coordinates) - spread.draws @ slope.T
+            beyond = spread.bends @ slope.T + curved
+            joint = joint + beyond.T @ beyond / len(beyond)
         return ParameterEstimate(
             names=self.prior.names,
             value=values(coordinates),

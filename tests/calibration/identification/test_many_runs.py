@@ -15,7 +15,6 @@ from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
     simulate_oscillations,
 )
-from calibration.identification.unknowns import choose_coordinates
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.recordings.length_path import LengthPath
@@ -59,11 +58,9 @@ def test_oscillations_begin_in_motion_with_locked_winches(robot, recordings):
         ).moves  # fmt: skip
 
 
-def test_the_robot_is_found_and_its_frequencies_within_half_a_percent(
-    found, robot, plant, recordings
-):
+def test_the_robot_is_found_and_its_frequencies_within_half_a_percent(found, plant, recordings):
     assert found.warnings == () and all(run.first_motion.moves for run in found.runs)
-    scores = score(choose_coordinates(robot, FEW), found, plant, recordings)
+    scores = score(found, plant, recordings)
     assert scores.frequency < 5e-3
     assert scores.center < 2e-3
     assert scores.friction < 0.2

@@ -11,11 +11,10 @@ import pytest
 import carosac_toolkit as ct
 from benchmarks.calibration_oscillations import (
     SURVEYED,
-    _straight,
     draw_plant,
     robot_with_pulleys,
 )
-from calibration.identification import fit, procedure
+from calibration.identification import fit, procedure, spread
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -35,6 +34,7 @@ from calibration.identification.runs import (
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.spread import moves_along
 from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -126,28 +126,53 @@ def fitter_of(plant, runs):
     return Fitter(choose_coordinates(plant, settings), runs, settings)
 
 
-def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(
-    plant, runs, monkeypatch
-):
-    monkeypatch.setattr(fit, "MOVE_SIGMAS", 0.1)  # so near all is linear
-    monkeypatch.setattr(fit, "MOVE_MAX", 0.02)
+@pytest.fixture(scope="module")
+def near(plant, runs):
+    """A fitter, where it begins, with errors, derivatives by coordinates and a Hessian there."""
     fitter = fitter_of(plant, runs)
-    at, searched, step = fitter._first, fitter._searched.copy(), fitter._time_step
+    at, searched = fitter._first, fitter._searched.copy()
     searched[fitter._mass] = False
     errors = fitter._errors_at(at)
-    plain = fitter._slopes(at, searched, step)
+    rough, fine = (fitter._slopes(at, searched, fitter._time_step, refined=r) for r in (1, 2))
+    plain = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(at, errors, plain, noise)
+    return fitter, at, searched, errors, plain, noise, information
+
+
+def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near, monkeypatch):
+    monkeypatch.setattr(spread, "MOVE_SIGMAS", 0.1)  # so near all is linear
+    monkeypatch.setattr(spread, "MOVE_MAX", 0.02)
+    fitter, at, searched, errors, _, noise, information = near
     hessian = information + fitter._precision
-    moves = fitter._moves(at, searched, hessian)
-    for move, rows in zip(moves, fitter._varied(searched), strict=True):
-        assert np.linalg.cond(move) < 1e6
-        assert (at[rows] + move >= fitter._lower[rows]).all()  # no robot out of bounds
-    along = fitter._slopes(at, searched, step, moves=moves)
+    whole, both = moves_along(
+        hessian, at, fitter._lower, searched, robot=fitter._count, size=fit.STEP_OF_MANY
+    )
+    for side, which in ((1.0, slice(None)), (-1.0, both)):
+        assert (at + side * whole[which] >= fitter._lower).all()  # no robot out of bounds
+    assert 0 < both.sum() < len(both)  # dry friction begins at its bound
+    along = fitter._wide_slopes(at, searched, hessian)
     again, _ = fitter._normal(at, errors, along, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     known = root.T @ information @ root  # by axes of the covariance
     assert np.abs(root.T @ again @ root - known).max() < 0.1
+
+
+def test_motion_is_linear_over_a_fraction_of_a_sigma_and_bends_over_more(near):
+    """What a draw leads to beyond the draw itself grows with the square of the draw."""
+    fitter, at, _, errors, plain, noise, information = near
+    inverse = np.linalg.inv(information + fitter._precision)
+    state = fit._Search(at=at, errors=errors, jacobians=plain, count=1, settled=True)
+    own = slice(fitter._count)
+    weights = np.linalg.inv(inverse[own, own])
+    sizes = []
+    for share in (0.05, 0.1, 0.2):
+        found = fitter._spread(state, noise, share * np.linalg.cholesky(inverse), inverse)
+        assert found.draws.shape == found.bends.shape
+        assert found.draws[: spread.PAIRS] == pytest.approx(-found.draws[spread.PAIRS :])
+        even = found.bends[: spread.PAIRS] + found.bends[spread.PAIRS :]
+        sizes.append(np.sqrt(np.mean(np.einsum("di,ij,dj->d", even, weights, even))))
+    assert 3.0 < sizes[2] / sizes[1] < 5.0
 
 
 def test_a_lost_start_is_found_again(plant, runs):
@@ -252,17 +277,6 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
     assert locked.leading > 0.2 and locked.begin < locked.poses.time[0]
     assert moving.leading == 0.0 and moving.begin == moving.path.first
     assert [run.fitted.leading for run in prepare([0.0, 0.0])] == [0.0, 0.0]
-
-
-def test_coordinates_of_nearly_linear_motion_do_not_know_the_unit_of_force(plant):
-    """Along all forces and masses only the mass itself changes."""
-    unknowns = choose_coordinates(plant, SURVEYED)
-    at = 0.3 * np.random.default_rng(0).standard_normal(len(unknowns.prior.names))
-    change = _straight(unknowns, at + 0.5 * unknowns.alike) - _straight(unknowns, at)
-    mass = unknowns.prior.names.index("mass")
-    assert np.abs(np.delete(change, mass)).max() < 1e-9 < change[mass]
-    held = choose_coordinates(plant, replace(SURVEYED, mass=0.0))
-    assert np.isfinite(_straight(held, np.zeros(len(held.prior.names)))).all()
 
 
 def test_many_poses_are_thinned(runs):

@@ -6,10 +6,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import carosac_toolkit as ct
-from benchmarks.calibration_oscillations import SURVEYED, _coordinates, robot_with_pulleys
 from calibration.identification.settings import IdentificationSettings
+from calibration.identification.spread import Spread
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
@@ -93,7 +94,7 @@ def test_what_the_file_knows_of_coupled_parameters_is_their_prior():
     robot = replace(robot, calibrated=names, calibration_covariance=known)
     unknowns = choose_coordinates(robot, IdentificationSettings())
     none = np.zeros(len(unknowns.prior.names))
-    estimate = unknowns.estimate(none, unknowns.prior.covariance).select(names)
+    estimate = unknowns.estimate(none, Spread.straight(unknowns.prior.covariance)).select(names)
     assert estimate.covariance == pytest.approx(known, rel=1e-4)
 
 
@@ -103,14 +104,14 @@ def test_the_covariance_of_the_robot_file_is_the_prior():
     robot = replace(robot, exit_covariance=np.tile(block, (4, 1, 1)))
     unknowns = choose_coordinates(robot, IdentificationSettings())
     none = np.zeros(len(unknowns.prior.names))
-    estimate = unknowns.estimate(none, unknowns.prior.covariance)
+    estimate = unknowns.estimate(none, Spread.straight(unknowns.prior.covariance))
     assert estimate.covariance[:3, :3] == pytest.approx(block, rel=1e-6)
     assert estimate.prior_sigma[:3] == pytest.approx([2e-3, 3e-3, 1e-3], rel=1e-6)
 
 
 def test_sigmas_of_factors_are_shares_of_their_value(unknowns):
     none = np.zeros(len(unknowns.prior.names))
-    estimate = unknowns.estimate(none, unknowns.prior.covariance)
+    estimate = unknowns.estimate(none, Spread.straight(unknowns.prior.covariance))
     mass = estimate.index("mass")
     assert estimate.prior_sigma[mass] == pytest.approx(0.05 * unknowns.robot.mass, rel=1e-4)
 
@@ -173,9 +174,26 @@ def test_prior_lengths_grow_with_the_robot(name, unknowns):
         assert its == pytest.approx(ratio * mine)
 
 
-@pytest.mark.parametrize("cables", [3, 4])
-def test_coordinates_of_a_robot_are_those_that_it_was_made_of(cables):
-    unknowns = choose_coordinates(robot_with_pulleys(cables), SURVEYED)
-    at = np.random.default_rng(cables).standard_normal(len(unknowns.prior.names))
-    at = np.maximum(at, unknowns.lower)
-    assert _coordinates(unknowns, unknowns.robot_at(at)) == pytest.approx(at, abs=1e-9)
+def test_the_covariance_of_parameters_along_a_curve_is_that_of_where_draws_lead(unknowns):
+    """What is beyond a draw counts beside it: of a factor exp(s z), e^(s z) - 1 - s z does."""
+    names, none = unknowns.prior.names, np.zeros(len(unknowns.prior.names))
+    mass, exit_x = names.index("mass"), 0
+    share = 0.3
+    sigma = share / unknowns.scale[mass]
+    half = sigma * norm.ppf((np.arange(400) + 0.5) / 400)
+    draws = np.zeros((len(half), len(names)))
+    draws[:, mass] = half
+    bends = np.zeros_like(draws)
+    bends[:, exit_x] = 2.0 * (half / sigma) ** 2  # what fits best there
+    covariance = np.zeros((len(names), len(names)))
+    covariance[mass, mass] = sigma**2
+    covariance[exit_x, exit_x] = 1.0
+    spread = Spread(covariance=covariance, draws=draws, bends=bends)
+    estimate = unknowns.estimate(none, spread)
+    growth = np.exp(0.5 * share**2)  # of the mean of a log-normal variable
+    beyond = growth**4 - 2.0 * growth + 1.0 + share**2 - 2.0 * share**2 * growth
+    variance = estimate.sigma**2
+    expected = share**2 + beyond
+    assert variance[mass] / unknowns.robot.mass**2 == pytest.approx(expected, rel=0.01)
+    expected = 1.0 + 4.0 * 3.0  # the fourth moment of a Gaussian is 3
+    assert variance[exit_x] / unknowns.scale[exit_x] ** 2 == pytest.approx(expected, rel=0.05)
