@@ -29,9 +29,10 @@ from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
-from carosac_toolkit.robot.perturbations import draw_plant
+from carosac_toolkit.robot.perturbations import Condition, draw_plant
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
@@ -44,6 +45,7 @@ SNAP_SHARE = 0.25  # of the drives, along minimum-snap paths; the others are str
 OUTER_SHARE = 0.6  # of the straight moves, between points near the faces of the box
 OUTER_BOX_SHARE = 0.85  # of the half box, from which on a point is near them
 PATH_TRIES_MAX = 100
+PLANT_TRIES_MAX = 20  # then the last one says why it cannot rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,15 +140,16 @@ def demonstrate(
     condition = find_condition(chosen.condition)
     controller = _Asking(robot, chosen, mpc, rng, network)
     kind = plugins.load("drivers", "simulator")
+    start = path.sample(np.zeros(1)).position[0]
     driver_settings = replace(
         kind.Settings(),
         suite=chosen.suite,
         period=controller.period,
-        start_position=tuple(float(x) for x in path.sample(np.zeros(1)).position[0]),
+        start_position=tuple(float(x) for x in start),
         wind_force=condition.of(robot).wind_force,
     )
     driver = kind.build(
-        draw_plant(robot, condition, rng),
+        draw_resting(robot, condition, start, rng),
         settled(driver_settings, robot),
         seed=int(rng.integers(2**31)),
     )
@@ -164,6 +167,18 @@ def demonstrate(
         away = np.linalg.norm(log.position - log.reference, axis=2)
         error = float(np.sqrt((away**2).mean()))
     return controller.demonstrations(error, lost)
+
+
+def draw_resting(
+    robot: Robot, condition: Condition, start: Array, rng: np.random.Generator
+) -> Robot:
+    """Draw a plant that can rest at a start (3,) [m]; near the faces of the box some cannot."""
+    for _ in range(PLANT_TRIES_MAX):
+        plant = draw_plant(robot, condition, rng)
+        rest = statics.inverse_kinematics(plant, start[None])
+        if (rest.converged & rest.stable).all():
+            break
+    return plant
 
 
 def draw_path(

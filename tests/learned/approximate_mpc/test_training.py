@@ -9,8 +9,15 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.condition_file import find_condition
+from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.similar import similar_robot
-from learned.approximate_mpc.demonstrations import Demonstrations, DemonstrationSettings
+from learned.approximate_mpc.demonstrations import (
+    Demonstrations,
+    DemonstrationSettings,
+    draw_resting,
+)
 from learned.approximate_mpc.plan_inputs import input_count, input_units
 from learned.approximate_mpc.plan_network import PlanNetwork, write_plan_network
 from learned.approximate_mpc.training import DistillationSettings, distill
@@ -105,3 +112,21 @@ def test_settings_that_make_no_sense_are_refused():
         DistillationSettings(drives=(1, 2), updates=(1,))
     with pytest.raises(InvalidField, match="drives"):
         DistillationSettings(drives=(0,), updates=(1,))
+
+
+def test_plants_that_cannot_rest_at_a_start_are_drawn_again():
+    """Next to a face of the box two of five cannot; a training must not end there."""
+    robot, condition = ct.load_robot("carosac"), find_condition("nominal-1")
+    start = np.array([2.37, -1.75, 1.26])
+
+    def rests(plant):
+        rest = statics.inverse_kinematics(plant, start[None])
+        return bool((rest.converged & rest.stable).all())
+
+    plain = [rests(draw_plant(robot, condition, np.random.default_rng(seed))) for seed in range(12)]
+    assert 2 < sum(plain) < 10
+    for seed, sound in enumerate(plain):
+        plant = draw_resting(robot, condition, start, np.random.default_rng(seed))
+        assert rests(plant)
+        same = draw_plant(robot, condition, np.random.default_rng(seed))
+        assert (plant.mass == same.mass) == sound
