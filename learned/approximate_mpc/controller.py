@@ -169,7 +169,7 @@ class PlanFollower:
         )  # fmt: skip
         self._free = seen.free
         target = self._target(reference, position, rotation, float(belief.time[0]))
-        reason = self._reason(seen.distance, target.position[0], position)
+        reason = self._reason(float(np.abs(seen.apart).max()), target.position[0], position)
         if not reason:
             self._offsets.take(*seen.offset)
             if not self._offsets.slack.any():
@@ -199,12 +199,14 @@ class PlanFollower:
         Args:
             inputs: As `look` returned them.
             tension: Along the chords [N], shape (n,).
-            excess: Sag less stretch at the end of the period [m], shape (n,).
+            excess: Sag less stretch at the end of the period [m], shape (n,); where it is NaN, as
+                no cable hangs so, what is sent comes to rest.
         """
         tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)
         self._pull = tension
+        excess = np.where(np.isfinite(excess), excess, self._excess.value)
         ahead = self._motion.advance(
             self._state, tension, excess, self._excess,
             self._wrapped + self._offsets.surplus, self._winches.state,

@@ -151,6 +151,24 @@ class Posed(Truth):
         return replace(super().reset(measurement), twist=None)
 
 
+def test_a_cable_that_cannot_hang_as_planned_comes_to_rest(robot):
+    """Its sag less stretch is NaN, as of a slack one; nothing else may become so."""
+    follower = PlanFollower(robot, MpcSettings())
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    belief = Belief(
+        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
+    )
+    follower.reset(belief)
+    reference = still(follower, robot.home_position)
+    excess = np.zeros(robot.n)
+    excess[1] = np.nan
+    for _ in range(3):
+        inputs, reason = follower.look(belief, reference)
+        assert not reason and np.isfinite(inputs.position).all()
+        sent = follower.follow(inputs, np.full(robot.n, robot.weight / robot.n), excess)
+        assert np.isfinite(sent).all() and np.isfinite(follower.surplus).all()
+
+
 def test_a_start_out_of_reach_is_refused():
     robot = ct.load_robot("carosac")
     controller = ApproximateMpc.build(robot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -113,8 +113,30 @@ def test_offsets_are_learned_as_mpc_does(swaying):
         seen = swaying.look(swaying.geometry.free + missing, np.zeros(n), before)
         expected = np.stack([offsets.offset, offsets.slack, offsets.most])
         assert seen.offset == pytest.approx(expected, abs=1e-12)
-        assert seen.distance == pytest.approx(np.abs(missing - before.kept).max(), abs=1e-12)
+        assert seen.apart == pytest.approx(missing - before.kept, abs=1e-12)
     assert offsets.slack.any()
+
+
+def test_commands_of_winches_without_limits_are_not_changed(swaying):
+    n = swaying.robot.n
+    free = replace(
+        swaying.robot, speed_max=np.full(n, 1e3), acceleration_max=np.full(n, 1e6),
+        length_min=np.full(n, 0.1), length_max=np.full(n, 1e3),
+    )  # fmt: skip
+    limits = {"period": PERIOD, "jerk_max": 1e9}
+    winches = WinchReference(free, **limits)
+    winches.reset(swaying.geometry.length)
+    motion = FastMotion(free, offsets=swaying.offsets, excess=swaying.excess, **limits)
+    motion.parameters[:] = swaying.motion.parameters
+    tension, excess = np.full(n, free.weight / n), swaying.excess.value
+    surplus = np.zeros(n)
+    found = motion.advance(swaying.state, tension, excess, swaying.excess, surplus, winches.state)
+    assert found.tension == pytest.approx(tension, abs=1e-6) and not found.held
+    path = stage_of(swaying, found.state, found.tension)[1]
+    winches.follow(path[:n] + found.excess[0], path[n : 2 * n])
+    assert not winches.held
+    assert found.winches.sent == pytest.approx(winches.state.sent, abs=1e-8)
+    assert found.winches.length == pytest.approx(path[:n] + found.excess[0], abs=1e-12)
 
 
 def advanced(swaying, tension, excess, winches):
@@ -148,7 +170,7 @@ def test_what_follows_from_tensions_is_what_mpc_sends(swaying):
         winches.follow(path[:n] + 0.01 + filtered.value, path[n : 2 * n])
         for mine, theirs in zip(found.winches, winches.state, strict=True):
             assert mine == pytest.approx(theirs, abs=1e-8)
-        assert found.held == winches.held
+        assert found.held and winches.held
 
 
 def test_tensions_are_those_of_winches_that_cannot_accelerate_more(swaying):
