@@ -51,7 +51,6 @@ PULLEY_RADIUS_M = 0.04
 DRAWN_SIGMAS_MAX = 2.0  # prior sigmas: no truth is drawn farther away
 FRICTION_SIGMAS = (0.7, 2.0)  # range of dry friction, in its prior sigmas
 FRICTION = ("exit_friction", "anchor_friction")
-DERIVATIVE_STEP = 1e-6  # of coordinates
 # A robot whose geometry was surveyed and whose lengths were calibrated; winches are locked.
 SURVEYED = IdentificationSettings(
     exit_points=1e-3, anchor_points=5e-4, length_offset=2e-3, length_scale=0.0, length_delay=0.0,

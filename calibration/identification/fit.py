@@ -19,6 +19,7 @@ from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, sim
 from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.spread import (
+    STALE_SIGMAS,
     Spread,
     moves_along,
     moves_of_run,
@@ -138,7 +139,7 @@ class Fitter:
             + [run.sway.guess for run in runs]
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
-        self._wide: list[Array] | None = None  # derivatives over some sigmas
+        self._wide: _Wide | None = None  # derivatives over some sigmas
         self._rest: list[Array] = []  # what they make errors wrong by
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -237,20 +238,39 @@ class Fitter:
         own = slice(self._count)
         covariance = root @ root.T  # rounding leaves a product of three too asymmetric
         straight = Spread.straight(np.asarray(covariance[own, own], float))
-        if not (self._many and self._sways):
+        wide = self._wide
+        if wide is None:
             return straight
         room = np.where(self._searched, state.at - self._lower, 0.0)
         draws = symmetric_draws(root, room)
-        points = np.concatenate([state.at[None], state.at + draws])
+        pull, exists = self._pull(state, noise, wide.rough, draws, draws)
+        bends = -pull @ inverse
+        return replace(straight, draws=draws[exists, own], bends=bends[exists, own])
+
+    def _pull(
+        self, state: _Search, noise: PoseErrorNoise, rough: list[Array], steps: Array, told: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the gradient (d, all coordinates) of what steps lead to, beyond what is told.
+
+        Args:
+            state: Where they begin.
+            noise: Of the errors there.
+            rough: Derivatives by the time steps of the search, of each run.
+            steps: shape (d, all coordinates).
+            told: Steps of which the derivatives tell, the same shape.
+
+        Returns:
+            The gradient, and which of the steps lead to a robot that moves (d,).
+        """
+        points = np.maximum(np.concatenate([state.at[None], state.at + steps]), self._lower)
         errors, good = self._simulated([points] * len(self._runs), self._time_step)
-        pull = np.zeros_like(draws)
+        pull = np.zeros_like(steps)
         for k in self._kept:
-            rows, jacobian = self._own[k], state.jacobians[k]
-            told = np.einsum("nci,di->dnc", jacobian, draws[:, rows])
-            beyond = noise.weights(state.errors[k]) * (errors[k][1:] - errors[k][0] - told)
-            pull[:, rows] += np.einsum("nci,dnc->di", jacobian, beyond)
-        exists = np.all([good[k][1:] for k in self._kept], axis=0)
-        return replace(straight, draws=draws[exists, own], bends=(-pull @ inverse)[exists, own])
+            rows = self._own[k]
+            expected = np.einsum("nci,di->dnc", rough[k], told[:, rows])
+            beyond = noise.weights(state.errors[k]) * (errors[k][1:] - errors[k][0] - expected)
+            pull[:, rows] += np.einsum("nci,dnc->di", state.jacobians[k], beyond)
+        return pull, np.all([good[k][1:] for k in self._kept], axis=0)
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
         """Search from somewhere, for some steps or to the end."""
@@ -439,34 +459,45 @@ class Fitter:
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
         for each other show by less than a hundredth of what each of them does. Those of many
-        recordings are taken once, over so many sigmas that later steps stay within.
+        recordings are taken over some sigmas, and anew once a search has left them by one.
 
         All forces and masses by one factor give the same motion, so that those by the mass follow
         from the others. As a difference they would be wrong by a thousandth of themselves, and many
         recordings would seem to tell that factor.
         """
-        if self._wide is not None and (starts or not coarse):
-            return [self._of_starts(each) for each in self._wide] if starts else self._wide
+        robot = self._searched[: self._count].any() and not starts
+        wide = self._wide
+        if wide is not None and starts:
+            return [_of_starts(each, self._count) for each in wide.exact]
+        if robot and self._sways and not coarse and hessian is not None:
+            if wide is None or wide.is_stale(at, hessian, self._count):
+                wide = self._wide = self._taken_wide(at, hessian)
+            return wide.exact
         searched = self._searched.copy()
         searched[: self._count] &= not starts
-        alike = self._unknowns.alike if self._many and not starts else None
-        if alike is not None and searched[self._mass]:
-            searched[self._mass] = False
-        else:
-            alike = None
-        robot = searched[: self._count].any()
-        if robot and hessian is not None and self._sways and not coarse:
-            jacobians = self._wide = self._wide_slopes(at, searched, hessian)
-        else:
-            ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
-            jacobians = self._slopes(at, searched, ratio * self._time_step)
-            if self._sways and not coarse:
-                more = self._told_by_finer_steps(at, searched, jacobians)
-                jacobians = [each + own for each, own in zip(jacobians, more, strict=True)]
-        if alike is not None:
-            for each in jacobians:
-                each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
+        alike = robot and self._told_by_alike(searched)
+        ratio = COARSE_STEP_RATIO if coarse and not self._sways else 1.0
+        jacobians = self._slopes(at, searched, ratio * self._time_step)
+        if self._sways and not coarse:
+            more = self._told_by_finer_steps(at, searched, jacobians)
+            jacobians = [each + own for each, own in zip(jacobians, more, strict=True)]
+        if alike:
+            self._fill_alike(jacobians)
         return jacobians
+
+    def _told_by_alike(self, searched: NDArray[np.bool_]) -> bool:
+        """Say whether derivatives by the mass follow from others; if so, it is not differenced."""
+        if not self._many or self._unknowns.alike is None or not searched[self._mass]:
+            return False
+        searched[self._mass] = False
+        return True
+
+    def _fill_alike(self, jacobians: Sequence[Array]) -> None:
+        """Fill in derivatives by the mass: all forces and masses by one factor change nothing."""
+        alike = self._unknowns.alike
+        assert alike is not None
+        for each in jacobians:
+            each[:, :, self._mass] = -each[:, :, : self._count] @ alike / alike[self._mass]
 
     def _told_by_finer_steps(
         self, at: Array, searched: NDArray[np.bool_], rough: Sequence[Array]
@@ -480,43 +511,41 @@ class Fitter:
             self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
         return self._finer
 
-    def _of_starts(self, jacobian: Array) -> Array:
-        """Return derivatives (K, 6, p) by a start alone."""
-        alone = jacobian.copy()
-        alone[:, :, : self._count] = 0.0
-        return alone
-
-    def _wide_slopes(self, at: Array, searched: NDArray[np.bool_], hessian: Array) -> list[Array]:
-        """Return derivatives of vanishing time steps, over some sigmas to both sides.
+    def _taken_wide(self, at: Array, hessian: Array) -> _Wide:
+        """Return derivatives over some sigmas to both sides, as of `_jacobians`.
 
         Args:
             at: All coordinates.
-            searched: By which of them.
             hessian: Of the cost, about.
-
-        Returns:
-            Of each run, shape (K, 6, p).
         """
+        searched = self._searched.copy()
+        alike = self._told_by_alike(searched)
         varied, size = self._varied(searched), STEP_OF_MANY
         robot = moves_along(hessian, at, self._lower, searched, robot=self._count, size=size)
         moves = [
             moves_of_run(*robot, hessian, own, rows, size=size)
             for own, rows in zip(self._own, varied, strict=True)
         ]
-        points = [each.ends(at, rows) for each, rows in zip(moves, varied, strict=True)]
+        points = [
+            each.ends(at, self._lower, rows) for each, rows in zip(moves, varied, strict=True)
+        ]
         ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
         errors, good = self._simulated(points, self._time_step)
         finer, fine = self._simulated(ahead, self._time_step, refined=2)
-        jacobians = []
-        for k, move in enumerate(moves):
+        rough, exact = [], []
+        for k, (move, rows) in enumerate(zip(moves, varied, strict=True)):
             sound = good[k].copy()
             sound[: len(fine[k])] &= fine[k]
-            self._check_motion(sound, varied[k], np.concatenate([move.steps, -move.steps]))
-            rough = errors[k][: len(fine[k])]
+            self._check_motion(sound, rows, np.concatenate([move.steps, -move.steps]))
             change = move.change(errors[k])
-            change += 4.0 / 3.0 * ((finer[k] - rough)[1:] - (finer[k] - rough)[0])
-            jacobians.append(self._by_coordinates(k, varied[k], move.steps, change))
-        return jacobians
+            rough.append(self._by_coordinates(k, rows, move.steps, change))
+            more = finer[k] - errors[k][: len(fine[k])]
+            change = change + 4.0 / 3.0 * (more[1:] - more[0])
+            exact.append(self._by_coordinates(k, rows, move.steps, change))
+        if alike:
+            self._fill_alike(rough)
+            self._fill_alike(exact)
+        return _Wide(at=at.copy(), rough=rough, exact=exact)
 
     def _varied(self, searched: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
         """Return by which coordinates each run is differenced."""
@@ -830,6 +859,36 @@ class Fitter:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Wide:
+    """Derivatives over some sigmas, of errors of each run, shape (K, 6, p).
+
+    Attributes:
+        at: All coordinates where they were taken.
+        rough: Of the time steps of the search.
+        exact: Of vanishing ones.
+    """
+
+    at: Array
+    rough: list[Array]
+    exact: list[Array]
+
+    def is_stale(self, at: Array, hessian: Array, robot: int) -> bool:
+        """Say whether a search has left them by more than a sigma of each coordinate of the robot.
+
+        Args:
+            at: All coordinates now.
+            hessian: Of the cost.
+            robot: How many coordinates are of the robot, the first ones.
+        """
+        own, start = slice(robot), slice(robot, None)
+        off = (at - self.at)[own]
+        follow = np.linalg.solve(hessian[start, start], hessian[start, own] @ off)
+        return bool(
+            off @ (hessian[own, own] @ off - hessian[own, start] @ follow) > STALE_SIGMAS**2 * robot
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Step:
     """End of a step.
 
@@ -874,6 +933,13 @@ def _tries(hessian: Array, gradient: Array) -> list[Array]:
         np.asarray(-share * np.linalg.solve(hessian + damping * diagonal, gradient), float)
         for share, damping in START_TRIES
     ]
+
+
+def _of_starts(jacobian: Array, robot: int) -> Array:
+    """Return derivatives (K, 6, p) by a start alone; those by the robot are 0."""
+    alone = jacobian.copy()
+    alone[:, :, :robot] = 0.0
+    return alone
 
 
 def _rms(errors: Array) -> tuple[float, float]:

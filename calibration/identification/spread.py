@@ -23,6 +23,7 @@ MOVE_SIGMAS = 3.0  # along axes of the covariance, for differences
 MOVE_MAX = 0.5  # the same, of the coordinates
 BOTH_SHARE_MIN = 0.1  # of a move, that there must be room for on its other side
 PAIRS = 40  # of draws: squared errors of a robot by their spread are 4 % from those by 100
+STALE_SIGMAS = 1.0  # for each coordinate, by which a search may leave where it took derivatives
 SEED = 0
 TINY = 1e-12  # instead of no step
 
@@ -33,7 +34,7 @@ class Spread:
 
     Attributes:
         covariance: To first order, shape (k, k).
-        draws: Of this covariance, each beside its opposite, shape (d, k); none where little bends.
+        draws: Of this covariance, within bounds, shape (d, k); none where little bends.
         bends: What is added to each of them as motion is not linear, shape (d, k).
     """
 
@@ -60,12 +61,15 @@ class Moves:
     steps: Array
     both: NDArray[np.bool_]
 
-    def ends(self, at: Array, rows: NDArray[np.int64]) -> Array:
-        """Return points (1 + 2 p, all coordinates): here, ahead, and behind or here again."""
+    def ends(self, at: Array, lower: Array, rows: NDArray[np.int64]) -> Array:
+        """Return points (1 + 2 p, all coordinates): here, ahead, and behind or here again.
+
+        Those that rounding would leave below their bounds are on them.
+        """
         ends = np.tile(at, (1 + 2 * len(rows), 1))
         ends[1 : 1 + len(rows), rows] += self.steps
         ends[1 + len(rows) :, rows] -= self.both[:, None] * self.steps
-        return ends
+        return np.maximum(ends, lower)
 
     def change(self, errors: Array) -> Array:
         """Return by how much errors (1 + 2 p, K, 6) at these ends change to one side, (p, K, 6)."""
@@ -144,14 +148,22 @@ def moves_of_run(
 
 
 def symmetric_draws(root: Array, room: Array) -> Array:
-    """Return changes (d, k) with a covariance, and their opposites, cut to where both can be.
+    """Return changes (d, k) of a covariance, and then their opposites.
+
+    Those that would leave their bounds to either side stop there, and the others are as is likely
+    beside that: what nearly makes up for each other still does.
 
     Args:
         root: Of the covariance, shape (k, k).
-        room: How far each coordinate may go down, shape (k,).
+        room: How far each coordinate may go down, shape (k,); infinite without a bound.
     """
     steps = np.random.default_rng(SEED).standard_normal((PAIRS, len(root))) @ root.T
-    steps = np.clip(steps, -room, room)
+    bounded = np.isfinite(room)
+    cut = np.clip(steps[:, bounded], -room[bounded], room[bounded])
+    with_all = root[bounded] @ root.T
+    missing = np.linalg.solve(with_all[:, bounded], (cut - steps[:, bounded]).T)
+    steps = steps + missing.T @ with_all
+    steps[:, bounded] = cut  # to the last bit
     return np.concatenate([steps, -steps])
 
 

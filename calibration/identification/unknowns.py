@@ -147,7 +147,7 @@ class Coordinates:
     def estimate(self, coordinates: Array, spread: Spread) -> ParameterEstimate:
         """Return the parameters themselves, with covariance and prior.
 
-        Where they are known along curves, the covariance is that of where their draws lead.
+        Where they are known along curves, what draws lead to beyond straight lines adds to it.
 
         Args:
             coordinates: Estimated, shape (k,).

@@ -34,7 +34,7 @@ from calibration.identification.runs import (
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.spread import moves_along
+from calibration.identification.spread import moves_along, moves_of_run, symmetric_draws
 from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -128,51 +128,97 @@ def fitter_of(plant, runs):
 
 @pytest.fixture(scope="module")
 def near(plant, runs):
-    """A fitter, where it begins, with errors, derivatives by coordinates and a Hessian there."""
+    """A fitter, where it begins, its errors, their noise, derivatives by coordinates, information.
+
+    Of dry friction one is a little above its bound.
+    """
     fitter = fitter_of(plant, runs)
-    at, searched = fitter._first, fitter._searched.copy()
+    at, searched = fitter._first.copy(), fitter._searched.copy()
+    friction = fitter._names.index("exit_friction")
+    at[friction] = fitter._lower[friction] + 0.002
     searched[fitter._mass] = False
     errors = fitter._errors_at(at)
     rough, fine = (fitter._slopes(at, searched, fitter._time_step, refined=r) for r in (1, 2))
-    plain = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
+    exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
-    information, _ = fitter._normal(at, errors, plain, noise)
-    return fitter, at, searched, errors, plain, noise, information
+    information, _ = fitter._normal(at, errors, exact, noise)
+    return fitter, at, errors, noise, fit._Wide(at=at, rough=rough, exact=exact), information
 
 
 def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near, monkeypatch):
     monkeypatch.setattr(spread, "MOVE_SIGMAS", 0.1)  # so near all is linear
     monkeypatch.setattr(spread, "MOVE_MAX", 0.02)
-    fitter, at, searched, errors, _, noise, information = near
+    fitter, at, errors, noise, _, information = near
     hessian = information + fitter._precision
-    whole, both = moves_along(
-        hessian, at, fitter._lower, searched, robot=fitter._count, size=fit.STEP_OF_MANY
-    )
-    for side, which in ((1.0, slice(None)), (-1.0, both)):
-        assert (at + side * whole[which] >= fitter._lower).all()  # no robot out of bounds
-    assert 0 < both.sum() < len(both)  # dry friction begins at its bound
-    along = fitter._wide_slopes(at, searched, hessian)
-    again, _ = fitter._normal(at, errors, along, noise)
+    taken = fitter._taken_wide(at, hessian)
+    again, _ = fitter._normal(at, errors, taken.exact, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
-    known = root.T @ information @ root  # by axes of the covariance
-    assert np.abs(root.T @ again @ root - known).max() < 0.1
+    own = np.arange(len(at)) != fitter._mass
+    known, found = (
+        root.T[:, own] @ each[np.ix_(own, own)] @ root[own] for each in (information, again)
+    )
+    assert np.abs(found - known).max() < 0.1  # by axes of the covariance
+    assert not taken.is_stale(at, hessian, fitter._count)
+    step = 3.0 * np.sqrt(fitter._count) * root[:, 0] / np.sqrt(root[:, 0] @ hessian @ root[:, 0])
+    assert taken.is_stale(at + step, hessian, fitter._count)
 
 
-def test_motion_is_linear_over_a_fraction_of_a_sigma_and_bends_over_more(near):
-    """What a draw leads to beyond the draw itself grows with the square of the draw."""
-    fitter, at, _, errors, plain, noise, information = near
-    inverse = np.linalg.inv(information + fitter._precision)
-    state = fit._Search(at=at, errors=errors, jacobians=plain, count=1, settled=True)
+def test_moves_of_some_sigmas_lead_to_robots(near):
+    """Also next to a bound, where a move ends on it, to both sides if there is room for it."""
+    fitter, at, _, _, _, information = near
+    searched, size = fitter._searched.copy(), fit.STEP_OF_MANY
+    searched[fitter._mass] = False
+    hessian = 1e-3 * information + fitter._precision  # of few data
+    whole, both = moves_along(hessian, at, fitter._lower, searched, robot=fitter._count, size=size)
+    cut = fitter._names.index("exit_friction")
+    on_bound = 0
+    for own, rows in zip(fitter._own, fitter._varied(searched), strict=True):
+        moves = moves_of_run(whole, both, hessian, own, rows, size=size)
+        assert np.linalg.cond(moves.steps) < 1e6
+        ends = moves.ends(at, fitter._lower, rows)
+        assert (ends >= fitter._lower).all()
+        on_bound += np.isclose(ends[:, cut], fitter._lower[cut], atol=1e-9).sum()
+        assert all(fitter._robot(end[: fitter._count], {}) is not None for end in ends)
+    assert on_bound and not both.all()
+
+
+def test_draws_within_bounds_stay_likely():
+    """Two numbers that nearly make up for each other still do where one is cut."""
+    turn = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2.0)
+    root = turn @ np.diag([0.5, 0.0005])
+    draws = symmetric_draws(root, np.array([np.inf, 0.1]))
+    assert np.abs(draws[:, 1]).max() <= 0.1 and np.isclose(np.abs(draws[:, 1]), 0.1).any()
+    assert draws[: spread.PAIRS] == pytest.approx(-draws[spread.PAIRS :], abs=0.0)
+    whitened = np.linalg.solve(root, draws.T)
+    assert np.sqrt((whitened**2).sum(axis=0)).max() < 4.0
+    free = symmetric_draws(root, np.full(2, np.inf))
+    assert np.cov(np.linalg.solve(root, free.T)) == pytest.approx(np.eye(2), abs=0.4)
+    assert not symmetric_draws(root, np.array([np.inf, 0.0]))[:, 1].any()
+
+
+def test_with_its_bend_a_draw_fits_as_its_derivatives_promise(near):
+    fitter, at, errors, noise, wide, information = near
+    hessian = information + fitter._precision
+    inverse = np.linalg.inv(hessian)
+    state = fit._Search(at=at, errors=errors, jacobians=wide.exact, count=1, settled=True)
+    room = np.where(fitter._searched, at - fitter._lower, 0.0)
+    draws = symmetric_draws(0.3 * np.linalg.cholesky(inverse), room)
+
+    def pull(steps):
+        gradient, exists = fitter._pull(state, noise, wide.rough, steps, draws)
+        assert exists.all()
+        return gradient + (steps - draws) @ fitter._precision
+
+    before = pull(draws)
+    after = pull(draws - before @ inverse)
+    sizes = [np.sqrt(np.einsum("di,ij,dj->d", each, inverse, each)) for each in (before, after)]
+    assert np.median(sizes[1] / sizes[0]) < 0.5  # what remains is of higher order
+    fitter._wide = wide
+    found = fitter._spread(state, noise, 0.3 * np.linalg.cholesky(inverse), inverse)
+    fitter._wide = None
     own = slice(fitter._count)
-    weights = np.linalg.inv(inverse[own, own])
-    sizes = []
-    for share in (0.05, 0.1, 0.2):
-        found = fitter._spread(state, noise, share * np.linalg.cholesky(inverse), inverse)
-        assert found.draws.shape == found.bends.shape
-        assert found.draws[: spread.PAIRS] == pytest.approx(-found.draws[spread.PAIRS :])
-        even = found.bends[: spread.PAIRS] + found.bends[spread.PAIRS :]
-        sizes.append(np.sqrt(np.mean(np.einsum("di,ij,dj->d", even, weights, even))))
-    assert 3.0 < sizes[2] / sizes[1] < 5.0
+    assert found.bends == pytest.approx(-(before @ inverse)[:, own], abs=1e-9)
+    assert found.draws == pytest.approx(draws[:, own])
 
 
 def test_a_lost_start_is_found_again(plant, runs):
