@@ -42,8 +42,11 @@ class ExcessFilter:
 
     def approach(self, excess: Array) -> None:
         """Move towards an excess [m], shape (n,); cables for which it is NaN come to rest."""
-        error = np.where(np.isfinite(excess), excess - self.value, 0.0)
-        self.take(*self.after(self.value, self.rate, error))
+        self.take(*self.after(self.value, self.rate, self.reachable(excess) - self.value))
+
+    def reachable(self, excess: Array) -> Array:
+        """Return an excess [m], shape (n,); where it is NaN, as no cable hangs so, that of now."""
+        return np.where(np.isfinite(excess), excess, self.value)
 
     def after(self, value: Any, rate: Any, error: Any) -> tuple[Any, Any]:
         """Return value and rate a command later, of arrays or of expressions.

@@ -206,9 +206,8 @@ class PlanFollower:
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)
         self._pull = tension
-        excess = np.where(np.isfinite(excess), excess, self._excess.value)
         ahead = self._motion.advance(
-            self._state, tension, excess, self._excess,
+            self._state, tension, self._excess.reachable(excess), self._excess,
             self._wrapped + self._offsets.surplus, self._winches.state,
         )  # fmt: skip
         self._excess.take(*ahead.excess)

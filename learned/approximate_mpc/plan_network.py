@@ -88,10 +88,8 @@ class PlanNetwork:
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
         self._session = session
-        robot = description.robot
-        self._n = robot.n
-        middle, half = tension_range(robot)
-        n = robot.n
+        middle, half = tension_range(description.robot)
+        n = self._n = description.robot.n
         self._middle = np.concatenate([np.broadcast_to(middle, n), np.zeros(n)])
         self._half = np.concatenate([
             np.broadcast_to(half, n), np.full(n, description.excess_scale)
