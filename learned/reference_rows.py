@@ -31,7 +31,8 @@ class ReferenceRows:
     """Times ahead of now, in rows of a reference.
 
     Attributes:
-        pick: Rows in turn, which take no copy; None where times lie between rows, or apart.
+        pick: Consecutive rows, which take no copy; None where times lie between rows, or rows
+            are skipped.
         weights: Of the rows up to the last one at each of K times, shape (K, last_row + 1).
         last_row: The last one that is looked at.
     """
@@ -42,7 +43,7 @@ class ReferenceRows:
 
     @classmethod
     def of(cls, ahead: Sequence[float] | Array) -> ReferenceRows:
-        """Split times in periods into rows and shares."""
+        """Take times ahead of now, in periods."""
         times = np.array(ahead, dtype=np.float64)
         row = np.floor(times + ROW_TOLERANCE).astype(np.intp)
         share = times - row

@@ -1,4 +1,4 @@
-"""How far off a robot may be that many recordings tell, and moves that show it.
+"""How far off a robot found from many recordings may be, and the moves that show it.
 
 Some combinations of its parameters are known a thousand times better than others. Derivatives are
 differences over some sigmas along the axes of the covariance: over less, vibrations that averages

@@ -18,8 +18,8 @@ from baselines.mpc.winch_reference import WinchFormulas, WinchState
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-# Onto lengths that a belief differs from, all with the Jacobian of the first: to micrometres from
-# 2 cm, to a tenth of a millimetre from 5.
+# All with the Jacobian of the first: on ``carosac`` they meet lengths that are 2 cm off to
+# micrometres, and 5 cm off to a tenth of a millimetre.
 NEWTON_STEPS = 3
 WINCHES = len(WinchState._fields)
 
@@ -87,7 +87,7 @@ class FastMotion:
             robot: Of n cables.
             period: Time between two commands [s].
             jerk_max: Of commands [m/s^3].
-            offsets: Whose formulas are taken.
+            offsets: Gives the formulas; values are those of each call.
             excess: The same.
         """
         n = self._n = robot.n
@@ -227,7 +227,7 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
 
 
 class _Packed:
-    """A CasADi function of vectors, which are one vector in its memory, and so are its values."""
+    """A CasADi function whose inputs are one vector in memory, and its outputs another."""
 
     def __init__(self, name: str, inputs: list[Any], outputs: list[Any]) -> None:
         """Build it of expressions."""

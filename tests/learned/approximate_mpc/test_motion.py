@@ -83,9 +83,9 @@ def test_a_believed_state_is_moved_onto_lengths_and_rates(swaying):
 
 def test_that_move_costs_the_least_energy(swaying):
     robot, geometry, state = swaying.robot, swaying.geometry, swaying.state
-    none = deepcopy(swaying.offsets)
     small = 1e-6 * np.arange(1.0, robot.n + 1.0)
-    moved = swaying.look(geometry.free + small, geometry.jacobian @ state[6:], none)
+    rate = geometry.jacobian @ state[6:]
+    moved = swaying.look(geometry.free + small, rate, swaying.offsets)
     kept = small - moved.offset[0] - moved.offset[1]
     mass = mass_matrix(robot, swaying.rotation[None], geometry.free[None])[0]
     step = constrained_motion(mass, geometry.jacobian) @ kept
