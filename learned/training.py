@@ -35,7 +35,7 @@ from learned.checkpoint import (
     refusing_damage,
     write_checkpoint,
 )
-from learned.delayed_signals import delayed_signals
+from carosac_toolkit.base.delayed_signals import delayed_signals
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import (
     CURVE_FILE,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from carosac_toolkit.base.delayed_signals import delayed_signals
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.extras import install_command
 from carosac_toolkit.base.tables import counted
@@ -35,6 +36,7 @@ from carosac_toolkit.studies.run.rows import Row
 SERIAL_CASES_MAX = 4  # cases that are not worth a process of their own
 FLUSH_INTERVAL_S = 1.0  # [s] between two files of rows
 DEFAULT_TIMEOUT_S = 600.0  # [s]
+INTERRUPTED_NOTE = "study: interrupted; the same call runs the rest"
 ONE_PROCESS_NOTE = "study: one case after another, on one core; for all cores: "
 
 
@@ -118,6 +120,8 @@ def run_cases(
             count = _worker_count(workers, len(cases), len(todo))
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
+                # Python loses an error of Ctrl-C in callbacks of weak references, which dask uses
+                ended = _never if here else stack.enter_context(delayed_signals())
                 if here and len(todo) > SERIAL_CASES_MAX and not has_parallel_packages():
                     bar.say(ONE_PROCESS_NOTE + install_command([PARALLEL_EXTRA]))
                 notes = "" if here else stack.enter_context(notes_folder(path))
@@ -128,7 +132,7 @@ def run_cases(
                     if here
                     else _on_workers(stack, tasks, scheduler, count, bar.say)
                 )
-                _keep(batches, store, bar)
+                _keep(batches, store, bar, ended)
             store.merge()
     return read_rows(path)
 
@@ -171,8 +175,22 @@ def _on_workers(
     return Dispatcher(client, tasks, say).batches()
 
 
-def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> None:
-    """Write rows to the disk as they come, and those at hand whatever happens."""
+def _never() -> bool:
+    """Say that no signal waits."""
+    return False
+
+
+def _keep(
+    batches: Iterable[list[Row]], store: StudyFolder, bar: Progress, ended: Callable[[], bool]
+) -> None:
+    """Write rows to the disk as they come, and those at hand whatever happens.
+
+    Args:
+        batches: The rows.
+        store: Where to.
+        bar: Shows how many there are.
+        ended: Says whether to leave.
+    """
     pending: list[Row] = []
     flushed = time.monotonic()
     try:
@@ -183,8 +201,11 @@ def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> No
                 ready, pending = pending, []  # never twice: an interrupted write is not repeated
                 store.append(ready)
                 flushed = time.monotonic()
+            if ended():
+                bar.say(INTERRUPTED_NOTE)
+                break
     except KeyboardInterrupt:
-        bar.say("study: interrupted; the same call runs the rest")
+        bar.say(INTERRUPTED_NOTE)
         raise
     finally:
         store.append(pending)

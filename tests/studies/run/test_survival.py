@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import weakref
 
 import pytest
 
@@ -63,6 +64,31 @@ def test_ctrl_c_keeps_the_rows_and_closes_the_workers(tmp_path):
     assert errors.rstrip().endswith("KeyboardInterrupt")
     wait_until(lambda: alive(family) == [])
     assert len(read_rows(folder)) > 0
+
+
+def test_ctrl_c_is_heard_where_python_loses_its_error(tmp_path, capfd):
+    """As in callbacks of weak references, which dask uses."""
+
+    class Dropped:
+        pass
+
+    def lost():
+        if shown:
+            dropped = Dropped()
+            seen.append(weakref.ref(dropped, lambda _: signal.raise_signal(signal.SIGINT)))
+            del dropped
+        shown.append(0.1)
+        return 0.1
+
+    shown, seen = [], []
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run_cases(some_cases(200, duration=0.1), SCORE, folder=tmp_path, workers=1, share=lost)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert "study: interrupted; the same call runs the rest" in capfd.readouterr().err
+    assert 0 < len(read_rows(tmp_path)) < 200
 
 
 def test_one_process_is_interrupted_as_well(tmp_path):

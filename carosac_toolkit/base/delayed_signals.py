@@ -1,4 +1,4 @@
-"""Ctrl-C, or SIGTERM of a batch system, in the middle of a step: the step is finished first."""
+"""Ctrl-C, or SIGTERM of a batch system, in the middle of a piece of work: it is finished first."""
 
 from __future__ import annotations
 

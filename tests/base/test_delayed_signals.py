@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from learned.delayed_signals import delayed_signals
+from carosac_toolkit.base.delayed_signals import delayed_signals
 
 
 @pytest.fixture(autouse=True)
