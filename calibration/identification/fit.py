@@ -35,10 +35,12 @@ FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
 # shorter ones its jumps count for more.
 STEP_OF_MANY = 5e-4
 MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what the others hide
-# Squared sigmas by which a step must promise to lower the cost: for each coordinate of the robot
-# where many recordings tell their sigmas, otherwise for each axis that counts.
+# Squared sigmas by which a step must promise to lower the cost: for each axis that counts, or each
+# coordinate of the starts.
 SETTLED_DECREASE = 0.1
-PART_DECREASE = 1.0  # the same of many recordings, with only a part of the poses
+# The same of many recordings, which tell their sigmas, for each coordinate of the robot; and with
+# only a part of the poses.
+MANY_DECREASE, PART_DECREASE = 0.02, 1.0
 POSE_SHARES = (
     0.15,
     0.4,
@@ -141,6 +143,7 @@ class Fitter:
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._wide: _Wide | None = None  # derivatives over some sigmas
         self._rest: list[Array] = []  # what they make errors wrong by
+        self._rest_at = self._first  # where
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
@@ -278,8 +281,9 @@ class Fitter:
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
         coarse = steps is not None or not (self._sways and alone)
         errors = self._errors_at(at)
-        share = PART_DECREASE if steps and self._many else SETTLED_DECREASE
-        least = share * (self._count if self._many else self._axes)
+        least = SETTLED_DECREASE * self._axes
+        if self._many:
+            least = (PART_DECREASE if steps else MANY_DECREASE) * self._count
         for count in range(1, (steps or self._settings.iterations) + 1):
             final = steps is not None or not coarse  # it may end with these derivatives
             jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
@@ -357,7 +361,7 @@ class Fitter:
         """
         points = [at[None]] * len(self._runs)
         errors, good = self._simulated(points, self._time_step)
-        self._rest = [np.zeros(6)] * len(errors)
+        self._rest, self._rest_at = [np.zeros(6)] * len(errors), at
         if self._sways:
             fine, sound = self._simulated(points, self._time_step, refined=2)
             good = [one & other for one, other in zip(good, sound, strict=True)]
@@ -391,11 +395,27 @@ class Fitter:
     def _trials(self, points: Array) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """Return errors as `_simulated`, near to where `_errors_at` looked last.
 
+        What time steps make wrong changes as derivatives tell.
+
         Args:
             points: Of all runs, shape (B, all coordinates).
         """
         errors, good = self._simulated([points] * len(self._runs), self._time_step)
-        return [each + more for each, more in zip(errors, self._rest, strict=True)], good
+        trials = [each + more for each, more in zip(errors, self._rest, strict=True)]
+        changes = self._rest_slopes()
+        if changes is not None:
+            moves = points - self._rest_at
+            for each, own, change in zip(trials, self._own, changes, strict=True):
+                each += np.einsum("nci,bi->bnc", change, moves[:, own])
+        return trials, good
+
+    def _rest_slopes(self) -> list[Array] | None:
+        """Return derivatives of what time steps make errors wrong by, as far as they are known."""
+        if self._wide is None:
+            return self._finer
+        return [
+            exact - rough for exact, rough in zip(self._wide.exact, self._wide.rough, strict=True)
+        ]
 
     def _simulated(
         self, points: Sequence[Array], time_step: float, *, refined: int = 1
@@ -664,14 +684,22 @@ class Fitter:
             ]
             found = self._best(points, trials, costs, noise)
             if found is not None and found.cost < lowest:
+                found = self._exactly(found, noise)
+            if found is not None and found.cost < lowest:
                 return replace(
-                    found,
-                    errors=self._errors_at(found.at) if self._sways else found.errors,
-                    damping=max(damping / 8.0, 1e-6),
-                    decrease=lowest - found.cost,
+                    found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
                 )
             damping *= 5.0
+        if self._sways:
+            self._errors_at(at)  # trials are near there again
         return _Step(at=at, errors=errors, cost=lowest)
+
+    def _exactly(self, step: _Step, noise: PoseErrorNoise) -> _Step:
+        """Return a step with errors of vanishing time steps, where only the sway counts."""
+        if not self._sways:
+            return step
+        errors = self._errors_at(step.at)
+        return replace(step, errors=errors, cost=self._cost(step.at, errors, noise))
 
     def _follow(
         self, at: Array, step: Array, hessian: Array, gradient: Array, noise: PoseErrorNoise
