@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.delayed_signals import delayed_signals
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import missing_folders, remove_empty
@@ -35,7 +36,6 @@ from learned.checkpoint import (
     refusing_damage,
     write_checkpoint,
 )
-from carosac_toolkit.base.delayed_signals import delayed_signals
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import (
     CURVE_FILE,

@@ -163,6 +163,25 @@ def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near,
     assert taken.is_stale(at + step, hessian, fitter._count)
 
 
+@pytest.mark.parametrize("name", ["inertia.xx", "axial_damping", "start.speed[0]"])
+def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
+    """What time steps make errors wrong by changes along a step; one simulation tells it anyway."""
+    fitter, at, _, _, wide, _ = near
+    move = np.zeros(len(at))
+    move[fitter._names.index(name)] = 0.02
+
+    def missed():
+        fitter._errors_at(at)
+        trials, _ = fitter._trials(np.array([at + move]))
+        exact = fitter._errors_at(at + move)
+        return sum(((a[0] - b) ** 2).sum() for a, b in zip(trials, exact, strict=True))
+
+    monkeypatch.setattr(fitter, "_wide", None)
+    without = missed()
+    monkeypatch.setattr(fitter, "_wide", wide)
+    assert missed() < 0.1 * without
+
+
 def test_moves_of_some_sigmas_lead_to_robots(near):
     """Also next to a bound, where a move ends on it, to both sides if there is room for it."""
     fitter, at, _, _, _, information = near
