@@ -143,7 +143,7 @@ class Fitter:
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._wide: _Wide | None = None  # derivatives over some sigmas
         self._rest: list[Array] = []  # what they make errors wrong by
-        self._rest_at = self._first  # where
+        self._rest_at = self._first  # where that was found
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
@@ -395,7 +395,7 @@ class Fitter:
     def _trials(self, points: Array) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """Return errors as `_simulated`, near to where `_errors_at` looked last.
 
-        What time steps make wrong changes as derivatives tell.
+        What they miss by their time steps changes along a step as the derivatives say.
 
         Args:
             points: Of all runs, shape (B, all coordinates).

@@ -62,7 +62,8 @@ def run_cases(
     Rows come to disk about every second. A second call with the same folder runs only what is
     missing, whatever ended the first one. A case that raises, hangs or kills its process costs
     itself only: its row says what happened. The rows do not depend on the number of workers, on
-    the order in which they finish, or on interruptions.
+    the order in which they finish, or on interruptions. On several processes a first Ctrl-C or
+    SIGTERM keeps the finished rows and then ends the call; a second one does not wait.
 
     Args:
         cases: The cases, all different.
@@ -120,7 +121,7 @@ def run_cases(
             count = _worker_count(workers, len(cases), len(todo))
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
-                # Python loses an error of Ctrl-C in callbacks of weak references, which dask uses
+                # In a callback of a weak reference Python drops KeyboardInterrupt; dask has many
                 ended = _never if here else stack.enter_context(delayed_signals())
                 if here and len(todo) > SERIAL_CASES_MAX and not has_parallel_packages():
                     bar.say(ONE_PROCESS_NOTE + install_command([PARALLEL_EXTRA]))
