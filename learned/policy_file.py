@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,17 +21,16 @@ from learned.policy_network import (
     ACTIVATION_NAMES,
     POLICY_BYTES_MAX,
     WIDTH_MAX,
+    Layers,
     OtherNetwork,
-    check_network,
     network_nodes,
+    read_network,
 )
 from learned.policy_probe import check_probe, make_probe
 from learned.settings_data import environment_settings
 
 if TYPE_CHECKING:
     from onnx import ModelProto
-
-Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 POLICY_SCHEMA = "carosac-policy/1"
 METADATA_PREFIX = "carosac."  # of the names of our metadata
@@ -124,7 +123,7 @@ class Policy:
             raise InvalidField("path", f"the folder {path}", allowed)
         if not Path(path).is_file():
             raise MissingFile(path)
-        session = open_network(path, POLICY_FILE_NAME)
+        session = open_network(path, POLICY_FILE_NAME).session
         try:
             sides = {
                 "observation": {one.name: one.shape for one in session.get_inputs()},
@@ -292,7 +291,7 @@ def described_network(model: ModelProto, schema: str, record: Mapping[str, Any])
     checker.check_model(model, full_check=True)
     data = bytes(model.SerializeToString(deterministic=True))
     try:
-        check_network(data)
+        read_network(data)
     except OtherNetwork as error:
         raise InvalidField("layers", error, "a network that can be read again") from error
     return data
@@ -307,7 +306,21 @@ def _onnx_failures() -> tuple[type[Exception], ...]:
     return tuple(getattr(failures, name) for name in names)
 
 
-def open_network(path: str | Path, name: str) -> Any:
+class OpenedNetwork(NamedTuple):
+    """A network of a file.
+
+    Attributes:
+        session: Of onnxruntime.
+        layers: Weight (out, in) and bias (out,) of each layer.
+        activation: Of the hidden layers.
+    """
+
+    session: Any
+    layers: Layers
+    activation: str
+
+
+def open_network(path: str | Path, name: str) -> OpenedNetwork:
     """Open a file in onnxruntime, on one core; it runs parts of a network as it loads it.
 
     Args:
@@ -329,14 +342,15 @@ def open_network(path: str | Path, name: str) -> Any:
     with Path(path).open("rb") as file:
         data = file.read(POLICY_BYTES_MAX + 1)
     try:
-        check_network(data)
+        layers, activation = read_network(data)
     except OtherNetwork as error:
         allowed = f"{name}; this is no ONNX file, or of another network: {error}"
         raise InvalidField("path", path, allowed) from error
     try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except failures as error:
         raise InvalidField("path", path, f"{name}; this is no ONNX file") from error
+    return OpenedNetwork(session, layers, activation)
 
 
 def read_record(

@@ -7,8 +7,11 @@ by itself, as policies are used where the package onnx is not installed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.base.errors import MALFORMED
 
@@ -29,6 +32,8 @@ _DIMENSIONS, _TYPE, _NAME, _DATA = 1, 2, 8, 9
 _OPERATORS = ("Gemm", "Relu", "Sigmoid", "Mul", "Tanh")
 _TRANSPOSED = {1: [b"transB"], 3: [1], 20: [_INT]}
 
+Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""Weight (out, in) and bias (out,) of each layer."""
 Node = tuple[str, list[str], list[str]]
 """Operator, names of its inputs and names of its outputs."""
 _Message = dict[int, list[int | bytes]]
@@ -62,21 +67,21 @@ def network_nodes(count: int, activation: str) -> list[Node]:
     return nodes
 
 
-def check_network(data: bytes) -> None:
-    """Refuse all but the perceptrons of `network_nodes`, with all their weights in the file.
+def read_network(data: bytes) -> tuple[Layers, str]:
+    """Return the layers of a perceptron of `network_nodes`, and its activation.
 
     Raises:
-        OtherNetwork: Says what differs.
+        OtherNetwork: It is another network, or its weights are not in the file; says what differs.
     """
     try:
-        _check(data)
+        return _read(data)
     except MALFORMED as error:
         detail = str(error) if isinstance(error, ValueError) else "it is damaged"
         raise OtherNetwork(detail) from error
 
 
-def _check(data: bytes) -> None:
-    """Check a model; whatever is wrong raises some error of `MALFORMED`."""
+def _read(data: bytes) -> tuple[Layers, str]:
+    """Read a model; whatever is wrong raises some error of `MALFORMED`."""
     if len(data) > POLICY_BYTES_MAX:
         raise ValueError(f"more than {POLICY_BYTES_MAX / 1e6:.0f} MB")
     model = _message(data, (_VERSION, _PRODUCER, _GRAPH, _OPSET, _METADATA))
@@ -84,11 +89,13 @@ def _check(data: bytes) -> None:
     _only(graph, _INPUTS), _only(graph, _OUTPUTS)
     nodes = [_node(part) for part in graph.get(_NODES, [])]
     tensors = graph.get(_TENSORS, [])
-    shapes = dict(_tensor(part) for part in tensors)
+    found = dict(_tensor(part) for part in tensors)
+    shapes = {name: values.shape for name, values in found.items()}
     count = len(shapes) // 2
     if not 0 < 2 * count == len(tensors) <= 2 * LAYERS_MAX:
         raise ValueError(f"{len(tensors)} weights and biases")
-    if nodes not in [network_nodes(count, name) for name in ACTIVATION_NAMES]:
+    activation = [name for name in ACTIVATION_NAMES if nodes == network_nodes(count, name)]
+    if not activation:
         raise ValueError("nodes in another order, or of other names")
     width = shapes["weight_0"][1]
     for k in range(count):
@@ -96,6 +103,8 @@ def _check(data: bytes) -> None:
         if shapes[f"weight_{k}"] != (given, taken) or not 0 < max(taken, given) <= WIDTH_MAX:
             raise ValueError(f"layer {k} does not fit")
         width = given
+    layers = [(found[f"weight_{k}"], found[f"bias_{k}"]) for k in range(count)]
+    return layers, activation[0]
 
 
 def _node(part: int | bytes) -> Node:
@@ -111,17 +120,18 @@ def _node(part: int | bytes) -> Node:
     return operator, names[0], names[1]
 
 
-def _tensor(part: int | bytes) -> tuple[str, tuple[int, ...]]:
-    """Return name and shape of a tensor of float32 that lies in the file."""
+def _tensor(part: int | bytes) -> tuple[str, NDArray[np.float32]]:
+    """Return name and values of a tensor of float32 that lies in the file."""
     tensor = _part(part, (_DIMENSIONS, _TYPE, _NAME, _DATA))
     sizes = tensor.get(_DIMENSIONS, [])
     shape = tuple(size for size in sizes if isinstance(size, int))
     data = _only(tensor, _DATA)
-    size = len(data) if isinstance(data, bytes) else -1
-    fits = _only(tensor, _TYPE) == _FLOAT and size == _FLOAT_BYTES * prod(shape)
+    if not isinstance(data, bytes):
+        raise TypeError("a number in place of those of a tensor")
+    fits = _only(tensor, _TYPE) == _FLOAT and len(data) == _FLOAT_BYTES * prod(shape)
     if not fits or len(shape) != len(sizes):
         raise ValueError("a tensor that is not as large as its numbers")
-    return _text(_only(tensor, _NAME)), shape
+    return _text(_only(tensor, _NAME)), np.frombuffer(data, "<f4").reshape(shape)
 
 
 def _only(message: _Message, field: int) -> int | bytes:

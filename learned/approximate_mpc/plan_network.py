@@ -18,7 +18,7 @@ from learned.approximate_mpc.plan_inputs import input_count
 from learned.bundled_files import find_bundled, list_bundled
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
-    Layers,
+    OpenedNetwork,
     checked_layers,
     described_network,
     network_model,
@@ -26,12 +26,13 @@ from learned.policy_file import (
     read_record,
     record_of,
 )
+from learned.policy_network import Layers
 
 PLAN_SCHEMA, PLAN_FOLDER = "carosac-plan/1", "plans"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
 BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
+ACTIVATION = "silu"  # of the hidden layers
 INPUT_MAX = 1e6  # of the numbers that it reads
-ACTION = ["action"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,18 +77,27 @@ def tension_range(robot: Robot) -> tuple[Array | float, Array | float]:
 class PlanNetwork:
     """First tensions of a plan, and sag less stretch that belong to them.
 
+    NumPy runs it, in half of the time that onnxruntime takes for one row between other work.
+
     Attributes:
         description: What it was trained for.
+        layers: Weight (out, in) and bias (out,) of each layer.
         settings: Of MPC, for `PlanFollower`.
         tension_share: The same.
     """
 
-    def __init__(self, session: Any, description: PlanDescription) -> None:
+    def __init__(self, opened: OpenedNetwork, description: PlanDescription) -> None:
         self.description = description
         self.settings = MpcSettings(**description.mpc)
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
-        self._session = session
+        self.layers, self._activation = opened.layers, opened.activation
+        *hidden, last = opened.layers
+        # silu(h) is h / 2 (1 + tanh(h / 2)): halves are in the weights.
+        self._hidden = [
+            (np.ascontiguousarray(np.float32(0.5) * w.T), np.float32(0.5) * b) for w, b in hidden
+        ]
+        self._last = np.ascontiguousarray(last[0].T), last[1]
         middle, half = tension_range(description.robot)
         n = self._n = description.robot.n
         self._middle = np.concatenate([np.broadcast_to(middle, n), np.zeros(n)])
@@ -106,16 +116,16 @@ class PlanNetwork:
         """
         if not Path(path).is_file():
             raise MissingFile(path)
-        session = open_network(path, PLAN_FILE_NAME)
+        opened = open_network(path, PLAN_FILE_NAME)
         try:
             record = read_record(
-                path, session.get_modelmeta().custom_metadata_map, PLAN_SCHEMA,
+                path, opened.session.get_modelmeta().custom_metadata_map, PLAN_SCHEMA,
                 [f.name for f in fields(PlanDescription)],
                 wanted=PLAN_FILE_NAME, command="carosac distill",
             )  # fmt: skip
             check_positive("excess_scale", record["excess_scale"], "m")
             check_whole("seed", record["seed"], 0)
-            network = cls(session, PlanDescription(**record))
+            network = cls(opened, PlanDescription(**record))
             network._check_sizes(path)
         except MALFORMED as error:
             got = f"{path} with damaged metadata: {error}"
@@ -133,9 +143,13 @@ class PlanNetwork:
         """
         if not np.abs(numbers).max() <= INPUT_MAX:
             raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
-        seen = {"observation": numbers.astype(np.float32)[None]}
-        (action,) = self._session.run(ACTION, seen)
-        told = self._middle + self._half * action[0]
+        value = numbers.astype(np.float32)
+        for weight, bias in self._hidden:
+            value = value @ weight
+            value += bias
+            value *= 1.0 + np.tanh(value)
+        weight, bias = self._last
+        told = self._middle + self._half * np.tanh(value @ weight + bias)
         return told[: self._n], told[self._n :]
 
     def check(self, robot: Robot) -> None:
@@ -161,10 +175,12 @@ class PlanNetwork:
         """Refuse a network that does not fit, or gives no numbers."""
         robot = self.description.robot
         count = input_count(robot, self.settings.stages)
-        sizes = (self._session.get_inputs()[0].shape[1], self._session.get_outputs()[0].shape[1])
+        sizes = (self.layers[0][0].shape[1], len(self.layers[-1][1]))
         if sizes != (count, 2 * robot.n):
             got = f"{path} of {sizes[0]} to {sizes[1]} numbers"
             raise InvalidField("path", got, f"{count} to {2 * robot.n}")
+        if self._hidden and self._activation != ACTIVATION:
+            raise InvalidField("path", f"{path} with {self._activation}", ACTIVATION)
         for scale in (0.0, 1.0, 1e3):
             told = np.concatenate(self.plan(np.full(count, scale)))
             if not np.isfinite(told).all():
@@ -178,7 +194,7 @@ def write_plan_network(path: str | Path, layers: Layers, description: PlanDescri
         InvalidField: Layers that do not fit.
         MissingExtra: onnx is not installed.
     """
-    model = network_model(checked_layers(layers), "silu")
+    model = network_model(checked_layers(layers), ACTIVATION)
     record = {f.name: getattr(description, f.name) for f in fields(PlanDescription)}
     data = described_network(model, PLAN_SCHEMA, record | {"robot": record_of(description.robot)})
     with replacing(Path(path)) as temporary:

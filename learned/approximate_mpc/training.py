@@ -46,7 +46,8 @@ from learned.approximate_mpc.plan_network import (
     tension_range,
     write_plan_network,
 )
-from learned.policy_file import Layers, record_of
+from learned.policy_file import record_of
+from learned.policy_network import Layers
 
 SETTINGS_FILE, TABLE_FILE, NETWORK_FILE = "settings.json", "rounds.csv", "network.onnx"
 EXCESS_MARGIN = 2.0  # times the largest sag less stretch that was met: of an output of 1

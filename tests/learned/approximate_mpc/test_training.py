@@ -19,9 +19,14 @@ from learned.approximate_mpc.demonstrations import (
     draw_resting,
 )
 from learned.approximate_mpc.plan_inputs import input_count, input_units
-from learned.approximate_mpc.plan_network import PlanNetwork, write_plan_network
+from learned.approximate_mpc.plan_network import (
+    PlanNetwork,
+    tension_range,
+    write_plan_network,
+)
 from learned.approximate_mpc.training import DistillationSettings, distill
 from learned.policy_controller import find_policy
+from learned.policy_file import open_network
 from tests.robots import hanging
 
 pytest.importorskip("torch")
@@ -79,6 +84,20 @@ def test_tensions_of_a_network_never_leave_their_limits(robot, folder):
         assert (tension >= robot.tension_min).all() and (tension <= robot.tension_max).all()
     with pytest.raises(InvalidField, match="plan inputs"):
         network.plan(np.full(count, np.nan))
+
+
+def test_numpy_runs_a_network_as_onnxruntime_does(robot, folder):
+    network = PlanNetwork.load(folder / "network.onnx")
+    session = open_network(folder / "network.onnx", "a network").session
+    drawn = np.random.default_rng(0).standard_normal((20, input_count(robot, 20)))
+    middle, half = tension_range(robot)
+    for numbers in (*drawn, *(1e3 * drawn)):
+        (told,) = session.run(["action"], {"observation": numbers[None].astype(np.float32)})
+        tension, excess = network.plan(numbers)
+        assert (tension - middle) / half == pytest.approx(told[0, : robot.n], abs=1e-5)
+        assert excess == pytest.approx(
+            network.description.excess_scale * told[0, robot.n :], abs=1e-6
+        )
 
 
 def test_units_of_inputs_are_those_of_carosac_and_grow_with_the_robot(robot):
