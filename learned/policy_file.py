@@ -362,7 +362,21 @@ def read_record(
     wanted: str,
     command: str,
 ) -> dict[str, Any]:
-    """Read what `described_network` wrote, the robot as one.
+    """Read what `described_network` wrote, the robot as one; see `read_metadata`."""
+    record = read_metadata(path, metadata, schema, names, wanted=wanted, command=command)
+    return record | {"robot": robot_of(path, record["robot"])}
+
+
+def read_metadata(
+    path: str | Path,
+    metadata: Mapping[str, str],
+    schema: str,
+    names: Sequence[str],
+    *,
+    wanted: str,
+    command: str,
+) -> dict[str, Any]:
+    """Read what `described_network` wrote.
 
     Args:
         path: Of the file.
@@ -384,10 +398,9 @@ def read_record(
         allowed = f"{wanted} of this version: train it again with `{command}`"
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
-        record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
+        return {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except (ValueError, RecursionError) as error:
         raise InvalidField("path", f"{path} with damaged metadata", wanted) from error
-    return record | {"robot": robot_of(path, record["robot"])}
 
 
 def robot_of(path: str | Path, record: Any) -> Robot:

@@ -15,10 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from baselines.mpc.geometry import excess_at, geometry_at
-from baselines.mpc.observer import PlanStart
 from baselines.mpc.plan import Plan, pose_of
-from baselines.mpc.plan_times import settings_for
-from baselines.mpc.planner import Planner, PlanTarget
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target_reader import TargetReader
 from carosac_toolkit import trajectories
@@ -37,8 +34,8 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
 from learned.approximate_mpc.controller import PlanFollower
-from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers, input_count
-from learned.approximate_mpc.plan_network import PlanNetwork
+from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers, PlanReader, PlanSource
+from learned.approximate_mpc.teacher import Teacher
 
 CALM_TIME = Scaled(2.5, "s")  # of holding still behind a path
 SNAP_SHARE = 0.25  # of the drives, along minimum-snap paths; the others are straight moves
@@ -123,7 +120,9 @@ def demonstrate(
     settings: DemonstrationSettings,
     mpc: MpcSettings,
     seed: tuple[int, int],
-    network: PlanNetwork | None = None,
+    network: PlanSource | None = None,
+    reader: PlanReader | None = None,
+    longest: float = np.inf,
 ) -> Demonstrations:
     """Drive a plant along a path, and ask MPC on the way.
 
@@ -133,12 +132,14 @@ def demonstrate(
         mpc: Of the teacher.
         seed: Of the training and of this drive.
         network: That drives; None: MPC does.
+        reader: Gives the numbers that are kept; None: `PlanNumbers`.
+        longest: Time after which a path is left [s].
     """
     chosen = resolved(settings, Scales(robot).ratios)
     rng = np.random.default_rng([*seed, 13])
     path = draw_path(robot, chosen, rng)
     condition = find_condition(chosen.condition)
-    controller = _Asking(robot, chosen, mpc, rng, network)
+    controller = _Asking(robot, chosen, mpc, rng, network, reader or PlanNumbers(robot))
     kind = plugins.load("drivers", "simulator")
     start = path.sample(np.zeros(1)).position[0]
     driver_settings = replace(
@@ -154,7 +155,7 @@ def demonstrate(
         seed=int(rng.integers(2**31)),
     )
     estimator = plugins.load("estimators", chosen.estimator).build(robot)
-    duration = path.duration + CALM_TIME.of(Scales(robot).ratios)
+    duration = min(path.duration, longest) + CALM_TIME.of(Scales(robot).ratios)
     error, lost = float("nan"), ""
     try:
         log = run(driver, estimator, controller, path, duration=duration)
@@ -207,21 +208,24 @@ def draw_path(
     return trajectories.line(ends[0], ends[1], speed_max=speed, acceleration_max=acceleration)
 
 
+def nearby(
+    inputs: PlanInputs, settings: DemonstrationSettings, rng: np.random.Generator
+) -> PlanInputs:
+    """Draw a state near the one of inputs, and another push."""
+    turn = Rotation.from_rotvec(settings.turn_spread * rng.standard_normal(3)).as_matrix()
+    twist = np.repeat([settings.speed_spread, settings.spin_spread], 3) * rng.standard_normal(6)
+    push = np.repeat([settings.push_spread, settings.moment_spread], 3) * rng.standard_normal(6)
+    return replace(
+        inputs,
+        position=inputs.position + settings.place_spread * rng.standard_normal(3),
+        rotation=turn @ inputs.rotation,
+        twist=inputs.twist + twist,
+        acceleration=inputs.acceleration + push,
+    )
+
+
 class Lost(CarosacError):
     """A drive that a network cannot learn from any more."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _KnownLoad:
-    """Load of a plan.
-
-    Attributes:
-        robot: With its centre of mass.
-        acceleration: Beyond the model, shape (6,).
-    """
-
-    robot: Robot
-    acceleration: Array
 
 
 class _Asking:
@@ -235,15 +239,16 @@ class _Asking:
         settings: DemonstrationSettings,
         mpc: MpcSettings,
         rng: np.random.Generator,
-        network: PlanNetwork | None,
+        network: PlanSource | None,
+        reader: PlanReader,
     ) -> None:
-        self._robot, self._settings, self._rng, self._network = robot, settings, rng, network
+        self._robot, self._settings, self._rng = robot, settings, rng
+        self._plan = None if network is None else network.planner(robot)
         share = 1.0 if network is None else network.tension_share
         self._follower = PlanFollower(robot, mpc, tension_share=share)
-        self._loaded, self._numbers_of = robot, PlanNumbers(robot)
-        chosen, weight_time = settings_for(robot, mpc)
-        self._planner = Planner(robot, chosen, weight_time=weight_time)
-        self._targets = TargetReader(robot, self._planner.grid, chosen.distribution)
+        self._reader = reader
+        self._teacher = Teacher(robot, mpc)
+        self._targets = TargetReader(robot, self._teacher.grid, self._teacher.settings.distribution)
         self.period, self.horizon = self._follower.period, self._follower.horizon
         self._numbers: list[Array] = []
         self._tension: list[Array] = []
@@ -255,7 +260,7 @@ class _Asking:
         self._follower.reset(belief)
         self._targets.reset()
         self._usual_rest: Array | None = None
-        self._plan: Plan | None = None
+        self._teacher.reset()
         self._count = 0
 
     def command(self, belief: Belief, reference: Reference) -> Command:
@@ -268,16 +273,16 @@ class _Asking:
             self._usual_rest = rest[0]
         habit = inputs.usual_tension - self._usual_rest
         kept = self._count % self._settings.every == 0
-        numbers, now = self._numbers_of.of(inputs), float(belief.time[0])
+        now = float(belief.time[0])
         tension = excess = np.zeros(0)
-        if kept or self._network is None:
+        if kept or self._plan is None:
             plan = self._ask(inputs, rest, habit, now)
             tension, excess = plan.tension[0], self._excess_of(plan)
         if kept:
-            self._keep(numbers, tension, excess)
+            self._keep(self._reader.of(inputs), tension, excess)
             self._ask_nearby(inputs, rest, habit, now)
-        if self._network is not None:
-            tension, excess = self._network.plan(numbers)
+        if self._plan is not None:
+            tension, excess = self._plan(inputs)
         share = self._follower.habit_share
         self._usual_rest = self._usual_rest + share * (rest[0] - self._usual_rest)
         self._count += 1
@@ -286,9 +291,9 @@ class _Asking:
 
     def demonstrations(self, error: float, lost: str) -> Demonstrations:
         """Return all answers."""
-        size, n = input_count(self._robot, self._follower.settings.stages), self._robot.n
+        n, count = self._robot.n, len(self._numbers)
         return Demonstrations(
-            numbers=np.array(self._numbers).reshape(-1, size),
+            numbers=np.array(self._numbers).reshape(count, -1),
             tension=np.array(self._tension).reshape(-1, n),
             excess=np.array(self._excess).reshape(-1, n),
             error=error,
@@ -296,54 +301,20 @@ class _Asking:
         )
 
     def _ask(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> Plan:
-        """Return what MPC would do, and keep it as the guess of the next plan."""
-        plan = self._refined(inputs, rest, habit, time, 3 if self._plan is None else 1)
+        """Return what MPC would do."""
+        plan = self._teacher.ask(inputs, rest, habit, self._follower.surplus, time)
         if plan is None:
             raise Lost("no plan")
-        self._plan = plan
         return plan
 
     def _ask_nearby(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> None:
         """Ask about states near the one that was met."""
-        rng, s = self._rng, self._settings
-        for _ in range(s.nearby):
-            turn = Rotation.from_rotvec(s.turn_spread * rng.standard_normal(3)).as_matrix()
-            twist = np.repeat([s.speed_spread, s.spin_spread], 3) * rng.standard_normal(6)
-            push = np.repeat([s.push_spread, s.moment_spread], 3) * rng.standard_normal(6)
-            near = replace(
-                inputs,
-                position=inputs.position + s.place_spread * rng.standard_normal(3),
-                rotation=turn @ inputs.rotation,
-                twist=inputs.twist + twist,
-                acceleration=inputs.acceleration + push,
-            )
-            plan = self._refined(near, rest, habit, time, 1)
+        for _ in range(self._settings.nearby):
+            near = nearby(inputs, self._settings, self._rng)
+            plan = self._teacher.ask_aside(near, rest, habit, self._follower.surplus, time)
             if plan is not None:
                 excess = self._excess_of(plan)
-                self._keep(self._numbers_of.of(near), plan.tension[0], excess)
-
-    def _refined(
-        self, inputs: PlanInputs, rest: Array, habit: Array, time: float, iterations: int
-    ) -> Plan | None:
-        """Solve for a plan."""
-        start = PlanStart(
-            position=inputs.position,
-            rotation=inputs.rotation,
-            twist=inputs.twist,
-            geometry=geometry_at(self._robot, inputs.position, inputs.rotation),
-            distance=0.0,
-        )
-        target = PlanTarget(
-            position=inputs.target, velocity=inputs.target_velocity, rotation=None, tension=rest
-        )
-        center = self._robot.center_of_mass + inputs.center
-        if not np.array_equal(center, self._loaded.center_of_mass):
-            self._loaded = replace(self._robot, center_of_mass=center)
-        load = _KnownLoad(robot=self._loaded, acceleration=inputs.acceleration)
-        return self._planner.refine(
-            start, target, time=time, load=load, offset=self._follower.surplus, guess=self._plan,
-            habit=habit, iterations=iterations,
-        )  # fmt: skip
+                self._keep(self._reader.of(near), plan.tension[0], excess)
 
     def _excess_of(self, plan: Plan) -> Array:
         """Return sag less stretch at the end of the first stage [m], shape (n,)."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -40,6 +42,33 @@ class PlanInputs:
     acceleration: Array
     usual_tension: Array
     usual_place: Array
+
+
+class PlanReader(Protocol):
+    """Turns inputs into the numbers that some network reads."""
+
+    def of(self, inputs: PlanInputs) -> Array:
+        """Return the numbers, shape (m,)."""
+
+
+PlanCallback = Callable[[PlanInputs], tuple[Array, Array]]
+"""Gives the first tensions [N] of a plan, and sag less stretch [m] of these, each (n,)."""
+
+TensionCallback = Callable[[PlanInputs], Array]
+"""Gives the first tensions of a plan alone [N], shape (n,)."""
+
+
+class PlanSource(Protocol):
+    """A network that can drive.
+
+    Attributes:
+        tension_share: See `learned.approximate_mpc.controller.PlanFollower`.
+    """
+
+    tension_share: float
+
+    def planner(self, robot: Robot) -> PlanCallback:
+        """Return what plans for a robot."""
 
 
 def input_count(robot: Robot, stages: int) -> int:

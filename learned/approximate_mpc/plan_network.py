@@ -14,7 +14,8 @@ from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
-from learned.approximate_mpc.plan_inputs import input_count
+from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron
+from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
 from learned.bundled_files import find_bundled, list_bundled
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
@@ -31,7 +32,6 @@ from learned.policy_network import Layers
 PLAN_SCHEMA, PLAN_FOLDER = "carosac-plan/1", "plans"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
 BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
-ACTIVATION = "silu"  # of the hidden layers
 INPUT_MAX = 1e6  # of the numbers that it reads
 
 
@@ -77,8 +77,6 @@ def tension_range(robot: Robot) -> tuple[Array | float, Array | float]:
 class PlanNetwork:
     """First tensions of a plan, and sag less stretch that belong to them.
 
-    NumPy runs it, in half of the time that onnxruntime takes for one row between other work.
-
     Attributes:
         description: What it was trained for.
         layers: Weight (out, in) and bias (out,) of each layer.
@@ -92,12 +90,7 @@ class PlanNetwork:
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
         self.layers, self._activation = opened.layers, opened.activation
-        *hidden, last = opened.layers
-        # silu(h) is h / 2 (1 + tanh(h / 2)): halves are in the weights.
-        self._hidden = [
-            (np.ascontiguousarray(np.float32(0.5) * w.T), np.float32(0.5) * b) for w, b in hidden
-        ]
-        self._last = np.ascontiguousarray(last[0].T), last[1]
+        self._tell = Perceptron(opened.layers)
         middle, half = tension_range(description.robot)
         n = self._n = description.robot.n
         self._middle = np.concatenate([np.broadcast_to(middle, n), np.zeros(n)])
@@ -143,14 +136,13 @@ class PlanNetwork:
         """
         if not np.abs(numbers).max() <= INPUT_MAX:
             raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
-        value = numbers.astype(np.float32)
-        for weight, bias in self._hidden:
-            value = value @ weight
-            value += bias
-            value *= 1.0 + np.tanh(value)
-        weight, bias = self._last
-        told = self._middle + self._half * np.tanh(value @ weight + bias)
+        told = self._middle + self._half * self._tell(numbers)
         return told[: self._n], told[self._n :]
+
+    def planner(self, robot: Robot) -> PlanCallback:
+        """Return what plans for a robot."""
+        numbers = PlanNumbers(robot)
+        return lambda inputs: self.plan(numbers.of(inputs))
 
     def check(self, robot: Robot) -> None:
         """Refuse a robot that the network was not trained for.
@@ -179,7 +171,7 @@ class PlanNetwork:
         if sizes != (count, 2 * robot.n):
             got = f"{path} of {sizes[0]} to {sizes[1]} numbers"
             raise InvalidField("path", got, f"{count} to {2 * robot.n}")
-        if self._hidden and self._activation != ACTIVATION:
+        if len(self.layers) > 1 and self._activation != ACTIVATION:
             raise InvalidField("path", f"{path} with {self._activation}", ACTIVATION)
         for scale in (0.0, 1.0, 1e3):
             told = np.concatenate(self.plan(np.full(count, scale)))

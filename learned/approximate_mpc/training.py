@@ -8,21 +8,15 @@ on from there; with the same code it ends as if it had not been.
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from baselines.mpc.plan_times import settings_for
 from baselines.mpc.settings import MpcSettings
-from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.extras import require
 from carosac_toolkit.base.files import replacing
@@ -37,6 +31,7 @@ from learned.approximate_mpc.demonstrations import (
     DemonstrationSettings,
     demonstrate,
 )
+from learned.approximate_mpc.perceptron import Perceptron
 from learned.approximate_mpc.plan_inputs import input_units
 from learned.approximate_mpc.plan_network import (
     PlanDescription,
@@ -46,13 +41,21 @@ from learned.approximate_mpc.plan_network import (
     tension_range,
     write_plan_network,
 )
+from learned.approximate_mpc.rounds import (
+    Regression,
+    begin,
+    drive_all,
+    finish,
+    is_held_out,
+    note,
+    regress,
+    rms,
+)
 from learned.policy_file import record_of
 from learned.policy_network import Layers
 
-SETTINGS_FILE, TABLE_FILE, NETWORK_FILE = "settings.json", "rounds.csv", "network.onnx"
 EXCESS_MARGIN = 2.0  # times the largest sag less stretch that was met: of an output of 1
 SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
-HELD_OUT_EVERY = 12  # one drive of so many is not trained on
 TABLE_COLUMNS = (
     "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N"
 )  # fmt: skip
@@ -129,15 +132,20 @@ def distill(
     check_cables(robot)
     driven = resolved(demonstrations or DemonstrationSettings(), Scales(robot).ratios)
     teacher, _ = settings_for(robot, mpc or MpcSettings())
-    _begin(folder, robot, seed, chosen, driven, teacher)
+    begin(folder, {
+        "robot": record_of(robot), "seed": seed, "training": asdict(chosen),
+        "demonstrations": asdict(driven), "mpc": settings_record(teacher),
+    })  # fmt: skip
     path: Path | None = None
     parts: list[Demonstrations] = []
     for k, count in enumerate(chosen.drives):
         first = sum(chosen.drives[:k])
-        parts += _drives(
-            robot, driven, teacher, seed, range(first, first + count), path, folder, workers,
+        paths = drive_all(
+            partial(_drive, robot, driven, teacher, seed, network_file=path),
+            range(first, first + count), folder, workers,
             partial(report, f"round {k + 1} of {len(chosen.drives)}: drives"),
         )  # fmt: skip
+        parts += [Demonstrations.load(each) for each in paths]
         path = folder / f"round-{k + 1}.onnx"
         if not path.is_file():
             fit = _fit(
@@ -150,7 +158,8 @@ def distill(
                 "lost": float(len(errors) - len(ended)),
                 "drive_error_m": float(np.median(ended)) if len(ended) else float("nan"),
             }
-            _note(folder, k + 1, len(parts), scores)
+            row = {"round": float(k + 1), "drives": float(len(parts))} | scores
+            note(folder, k + 1, TABLE_COLUMNS, row)
             write_plan_network(
                 path, fit.layers,
                 PlanDescription(
@@ -164,64 +173,7 @@ def distill(
                 ),
             )  # fmt: skip
     assert path is not None, "there is at least one round"
-    with replacing(folder / NETWORK_FILE) as temporary:
-        temporary.write_bytes(path.read_bytes())
-    return folder / NETWORK_FILE
-
-
-def _begin(
-    folder: Path,
-    robot: Robot,
-    seed: int,
-    settings: DistillationSettings,
-    demonstrations: DemonstrationSettings,
-    mpc: MpcSettings,
-) -> None:
-    """Write what is trained, or make sure that the folder's training is this one."""
-    folder.mkdir(parents=True, exist_ok=True)
-    record = {
-        "robot": record_of(robot), "seed": seed, "training": asdict(settings),
-        "demonstrations": asdict(demonstrations), "mpc": settings_record(mpc),
-    }  # fmt: skip
-    text = json.dumps(record, indent=1, sort_keys=True) + "\n"
-    path = folder / SETTINGS_FILE
-    if path.is_file():
-        if path.read_text(encoding="utf-8") != text:
-            allowed = "a training of this robot, seed and settings, or a new folder"
-            raise InvalidField("folder", f"{folder} with another training", allowed)
-        return
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def _drives(
-    robot: Robot,
-    settings: DemonstrationSettings,
-    mpc: MpcSettings,
-    seed: int,
-    numbers: range,
-    network_file: Path | None,
-    folder: Path,
-    workers: int,
-    report: Callable[[int, int], None],
-) -> list[Demonstrations]:
-    """Return drives by their numbers; those in the folder are read."""
-    paths = {k: folder / f"drive-{k:04d}.npz" for k in numbers}
-    missing = [k for k, path in paths.items() if not path.is_file()]
-    report(len(numbers) - len(missing), len(numbers))
-    job = partial(_drive, robot, settings, mpc, seed, network_file=network_file)
-    if workers == 1:
-        for done, k in enumerate(missing, len(numbers) - len(missing) + 1):
-            job(k, paths[k])
-            report(done, len(numbers))
-    elif missing:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            done = len(numbers) - len(missing)
-            for _ in pool.map(job, missing, [paths[k] for k in missing]):
-                done += 1
-                report(done, len(numbers))
-    return [Demonstrations.load(path) for path in paths.values()]
+    return finish(folder, path)
 
 
 def _drive(
@@ -266,14 +218,9 @@ def _fit(
     report: Callable[[int, int], None],
 ) -> _Fit:
     """Fit a new network to all answers."""
-    import torch
-
-    torch.manual_seed(1000 * seed + number)
-    torch.set_num_threads(1)
-    held = np.concatenate([
-        np.full(len(part.numbers), k % HELD_OUT_EVERY == HELD_OUT_EVERY - 1)
-        for k, part in enumerate(parts)
-    ])  # fmt: skip
+    held = np.concatenate(
+        [np.full(len(part.numbers), is_held_out(k)) for k, part in enumerate(parts)]
+    )
     numbers = np.concatenate([part.numbers for part in parts]).astype(np.float64)
     tension = np.concatenate([part.tension for part in parts])
     excess = np.concatenate([part.excess for part in parts])
@@ -284,54 +231,18 @@ def _fit(
     middle, half = tension_range(robot)
     wanted = np.hstack([(tension - middle) / half, excess / excess_scale])
     unit = np.concatenate([robot.weight / robot.n / half, np.full(robot.n, 0.1)])
-    least = SPREAD_MIN * input_units(robot, stages)
-    mean, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), least)
-    seen = torch.tensor((numbers - mean) / spread, dtype=torch.float32)
-    goal = torch.tensor(wanted, dtype=torch.float32)
-    scale = torch.tensor(unit, dtype=torch.float32)
-    sizes = [seen.shape[1], *settings.hidden, goal.shape[1]]
-    modules: list[Any] = []
-    for a, b in pairwise(sizes):
-        modules += [torch.nn.Linear(a, b), torch.nn.SiLU()]
-    network = torch.nn.Sequential(*modules[:-1], torch.nn.Tanh())
-    linear = [module for module in network if isinstance(module, torch.nn.Linear)]
-    rows = torch.nonzero(torch.tensor(~held))[:, 0]
-    optimiser = torch.optim.Adam(network.parameters(), settings.rate)
-    updates = settings.updates[number]
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
-    for k in range(updates):
-        batch = rows[torch.randint(len(rows), (settings.batch,))]
-        off = (network(seen[batch]) - goal[batch]) / scale
-        loss = torch.nn.functional.smooth_l1_loss(off, torch.zeros_like(off), beta=0.1)
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        schedule.step()
-        if k % 500 == 0:
-            report(k, updates)
-    with torch.no_grad():
-        off = ((network(seen) - goal)[:, : robot.n] * torch.tensor(half)).numpy()
-    layers = [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]
-    first = layers[0][0] / spread.astype(np.float32)
-    layers[0] = (first, layers[0][1] - first @ mean.astype(np.float32))
+    layers = regress(
+        numbers[~held], wanted[~held], unit, SPREAD_MIN * input_units(robot, stages),
+        Regression(
+            hidden=settings.hidden, updates=settings.updates[number], batch=settings.batch,
+            rate=settings.rate, seed=1000 * seed + number,
+        ),
+        report,
+    )  # fmt: skip
+    off = (Perceptron(layers)(numbers) - wanted)[:, : robot.n] * half
     scores = {
         "samples": float(len(numbers)),
-        "trained_error_N": _rms(off[~held]),
-        "held_out_error_N": _rms(off[held]) if held.any() else float("nan"),
+        "trained_error_N": rms(off[~held]),
+        "held_out_error_N": rms(off[held]),
     }
     return _Fit(layers=layers, excess_scale=excess_scale, scores=scores)
-
-
-def _note(folder: Path, number: int, drives: int, scores: dict[str, float]) -> None:
-    """Add a row to the table of rounds."""
-    path = folder / TABLE_FILE
-    rows = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    rows = [",".join(TABLE_COLUMNS), *rows[1:number]]
-    values = {"round": number, "drives": drives} | scores
-    rows.append(",".join(f"{values[name]:.6g}" for name in TABLE_COLUMNS))
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(rows) + "\n", encoding="utf-8")
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean()))

@@ -26,12 +26,8 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from learned.approximate_mpc.controller import check_cables
 from learned.approximate_mpc.plan_network import check_share
-from learned.approximate_mpc.training import (
-    HELD_OUT_EVERY,
-    TABLE_FILE,
-    DistillationSettings,
-    distill,
-)
+from learned.approximate_mpc.rounds import HELD_OUT_EVERY, TABLE_FILE
+from learned.approximate_mpc.training import DistillationSettings, distill
 from learned.commands.status_line import StatusLine
 
 RESULTS_FOLDER = Path("carosac-results") / "distill"

@@ -1,0 +1,181 @@
+"""What a plan depends on, as numbers that mean the same for every robot of the family.
+
+Lengths are in that of a cable, L, times in sqrt(L / g), forces in the weight per cable; what is of
+the platform is in its own size. Cables are numbered, and axes turned, as `layout_of` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from itertools import accumulate, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.mpc.plan_times import settings_for
+from baselines.mpc.settings import MpcSettings
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.family_robots import CABLES, layout_of
+from learned.approximate_mpc.plan_inputs import PlanInputs
+
+TIMES = MpcSettings().stages + 1  # of a plan
+CHANGE_MAX = 4.0  # of a tension from that of rest, in the weight per cable: an output of 1
+# Numbers of each block: of vectors, of axial vectors, of cables, of scalars. A mirror image turns
+# each kind in its way.
+BLOCKS = {
+    "directions": ("vectors of cables", 3 * CABLES),
+    "lengths": ("cables", CABLES),
+    "arms": ("vectors of cables", 3 * CABLES),
+    "center": ("vectors", 3),
+    "inertia": ("tensor", 6),
+    "velocity_error": ("vectors", 3),
+    "velocity": ("vectors", 3),
+    "spin": ("axial vectors", 3),
+    "way": ("vectors", 3 * TIMES),
+    "way_velocity": ("vectors", 3 * TIMES),
+    "push": ("vectors", 3),
+    "moment": ("axial vectors", 3),
+    "rest": ("cables", CABLES),
+    "rest_at_end": ("cables", CABLES),
+    "habit": ("cables", CABLES),
+    "robot": ("scalars", 11),
+}
+_EDGES = [0, *accumulate(count for _, count in BLOCKS.values())]
+PLACES: Mapping[str, slice] = {
+    name: slice(a, b) for name, (a, b) in zip(BLOCKS, pairwise(_EDGES), strict=True)
+}
+COUNT = _EDGES[-1]
+_TENSOR = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))  # rows and columns of the six entries
+
+
+class FamilyNumbers:
+    """Turns inputs into the numbers that a network of the family reads, and back what it tells."""
+
+    def __init__(self, robot: Robot, settings: MpcSettings | None = None) -> None:
+        """Take a robot of the family and the settings of its MPC; None takes the defaults."""
+        chosen, weight_time = settings_for(robot, settings or MpcSettings())
+        scales, layout = Scales(robot), layout_of(robot)
+        self._robot, self._order, self._turn = robot, layout.order, layout.turn
+        self._length, self._time, self._tension = scales.length, scales.time, scales.tension
+        self._speed = self._length / self._time
+        self._size = float(np.linalg.norm(robot.anchor_points, axis=1).max())
+        self._moment = self._time**2 * self._size / self._length
+        tension, speed = self._tension, self._speed
+        shares = (
+            self._size / self._length, self._time, chosen.period / self._time,
+            chosen.lookahead / self._time, weight_time / self._time,
+            robot.tension_min.mean() / tension, robot.tension_max.mean() / tension,
+            robot.speed_max.mean() / speed, robot.acceleration_max.mean() / robot.gravity,
+            robot.weight_per_length.mean() * self._length / tension,
+        )  # fmt: skip
+        self._shares = np.array([*np.log(shares), robot.drag * self._time / robot.mass])
+        self._inertia = robot.inertia / (robot.mass * self._size**2)
+        self._guess = np.tile(robot.home_rotation, (3, 1, 1))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the tensions of rest."""
+        robot = self._robot
+        middle = np.clip(self._tension, robot.tension_min, robot.tension_max)
+        self._rest, self._where = np.tile(middle, (3, 1)), np.full((3, 3), np.nan)
+
+    def of(self, inputs: PlanInputs) -> Array:
+        """Return the numbers, shape (COUNT,)."""
+        robot, order, axes, length = self._robot, self._order, self._turn, self._length
+        arms = (robot.anchor_points[order] @ inputs.rotation.T) @ axes.T
+        place, velocity = axes @ inputs.position, axes @ inputs.twist[:3]
+        chord = robot.exit_points[order] @ axes.T - place - arms
+        distance = np.linalg.norm(chord, axis=1)
+        turned = axes @ inputs.rotation
+        rest = self._rests(inputs) / self._tension
+        wanted = inputs.target_velocity @ axes.T
+        numbers: Array = np.concatenate([
+            (chord / distance[:, None]).ravel(),
+            np.log(distance / length),
+            arms.ravel() / self._size,
+            turned @ (robot.center_of_mass + inputs.center) / self._size,
+            (turned @ self._inertia @ turned.T)[_TENSOR],
+            (velocity - wanted[0]) / self._speed,
+            velocity / self._speed,
+            axes @ inputs.twist[3:] * self._time,
+            (inputs.target @ axes.T - place).ravel() / length,
+            (wanted - wanted[0]).ravel() / self._speed,
+            axes @ inputs.acceleration[:3] / robot.gravity,
+            axes @ inputs.acceleration[3:] * self._moment,
+            rest[0, order],
+            rest[1, order],
+            (inputs.usual_tension / self._tension - rest[2])[order],
+            self._shares,
+        ])  # fmt: skip
+        return numbers
+
+    def told(self, numbers: Array, tension: Array) -> Array:
+        """Return tensions (n,) [N] as a network would tell them, shape (4,)."""
+        return (tension[self._order] / self._tension - base_of(numbers)) / CHANGE_MAX
+
+    def tension(self, numbers: Array, told: Array) -> Array:
+        """Return the tensions [N] that a network tells, shape (n,)."""
+        found = np.empty(CABLES)
+        found[self._order] = (base_of(numbers) + CHANGE_MAX * told) * self._tension
+        return found
+
+    def _rests(self, inputs: PlanInputs) -> Array:
+        """Return tensions of rest [N] where the plan begins and ends, and at the usual place."""
+        target = inputs.target
+        where = np.stack([target[0], target[-1], target[0] + inputs.usual_place])
+        if not np.array_equal(where, self._where):
+            self._where = where
+            guess = Pose(position=where, rotation=self._guess)
+            rest = statics.inverse_kinematics(self._robot, where, guess=guess)
+            self._rest = np.where(rest.converged[:, None], rest.tension, self._rest)
+        return self._rest
+
+
+def base_of(numbers: Array) -> Array:
+    """Return the tensions, over the weight per cable, that a network's are told from, (..., 4)."""
+    return np.asarray(numbers[..., PLACES["rest"]] + numbers[..., PLACES["habit"]])
+
+
+class Mirror(NamedTuple):
+    """How numbers of a robot become those of its mirror image: reordered, then multiplied.
+
+    Attributes:
+        order: Of the numbers, shape (COUNT,).
+        sign: Of each, shape (COUNT,).
+        cables: Order of what is told, shape (4,).
+    """
+
+    order: NDArray[np.intp]
+    sign: Array
+    cables: NDArray[np.intp]
+
+
+def mirror(axes: Collection[int]) -> Mirror:
+    """Return the mirror image along x (0), y (1), both or neither.
+
+    What a network has seen of a robot is true of its mirror image, too.
+    """
+    cables = np.arange(CABLES).reshape(2, 2)  # (-, -) and (+, -), then (+, +) and (-, +)
+    sign = np.ones(3)
+    for axis in axes:
+        sign[axis] = -1.0
+        cables = cables[:, ::-1] if axis == 0 else cables[::-1, ::-1]
+    order_of_cables, orders, signs = cables.ravel(), [], []
+    for name, (kind, count) in BLOCKS.items():
+        order, signed = np.arange(count), np.ones(count)
+        if kind in ("cables", "vectors of cables"):
+            order = order.reshape(CABLES, -1)[order_of_cables].ravel()
+        if kind in ("vectors", "vectors of cables"):
+            signed = np.tile(sign, count // 3)
+        elif kind == "axial vectors":
+            signed = np.prod(sign) * np.tile(sign, count // 3)
+        elif kind == "tensor":
+            signed = sign[list(_TENSOR[0])] * sign[list(_TENSOR[1])]
+        orders.append(PLACES[name].start + order)
+        signs.append(signed)
+    return Mirror(np.concatenate(orders), np.concatenate(signs), order_of_cables)
