@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-import carosac_toolkit as ct
 from benchmarks.controllers import MOVES, SMOOTH, Task, score
 from benchmarks.results import table, write_section
 from carosac_toolkit.base.files import replacing
-from learned.approximate_mpc.plan_network import PlanNetwork, bundled_network, find_network
+from learned.approximate_mpc.networks import BUNDLED, find_network
+from learned.approximate_mpc.plan_network import PlanNetwork
 
 KEPT = Path(__file__).parent / "approximate_mpc.parts"
 TITLE, CONTROLLER = "Approximate MPC", "approximate_mpc"
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--networks", nargs="*", default=[], help="ONNX files; beside the bundled")
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
-    bundled = [bundled_network(ct.load_robot(name)) for name in asked.robots]
+    bundled = [BUNDLED[name] for name in asked.robots]
     networks = bundled + asked.networks
     loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
     every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}

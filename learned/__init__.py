@@ -8,6 +8,7 @@ from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from learned.approximate_mpc.controller import ApproximateMpc, ApproximateMpcSettings
+    from learned.approximate_mpc.family_training import FamilySettings, distill_family
     from learned.approximate_mpc.training import DistillationSettings, distill
     from learned.environment import CableEnvironment, EnvironmentSettings, StepResult
     from learned.evaluation import evaluate, evaluate_inverse_kinematics
@@ -37,6 +38,7 @@ __all__ = [
     "DistillationSettings",
     "EnvironmentSettings",
     "ExplorationSettings",
+    "FamilySettings",
     "MovingSettings",
     "ObservationUnits",
     "PathSettings",
@@ -56,6 +58,7 @@ __all__ = [
     "TrainingStudy",
     "Transition",
     "distill",
+    "distill_family",
     "evaluate",
     "evaluate_inverse_kinematics",
     "find_preset",
@@ -68,6 +71,7 @@ _MODULES = {
     "ApproximateMpc": "approximate_mpc.controller",
     "ApproximateMpcSettings": "approximate_mpc.controller",
     "DistillationSettings": "approximate_mpc.training",
+    "FamilySettings": "approximate_mpc.family_training",
     "CableEnvironment": "environment",
     "CableGymEnvironment": "gym_environment",
     "EnvironmentSettings": "environment",
@@ -92,6 +96,7 @@ _MODULES = {
     "TrainingStudy": "training_study",
     "Transition": "transition",
     "distill": "approximate_mpc.training",
+    "distill_family": "approximate_mpc.family_training",
     "evaluate": "evaluation",
     "evaluate_inverse_kinematics": "evaluation",
     "find_preset": "presets",

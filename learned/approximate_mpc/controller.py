@@ -42,9 +42,11 @@ from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
+from learned.approximate_mpc.family_network import FamilyNetwork
 from learned.approximate_mpc.motion import FastMotion
-from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers
-from learned.approximate_mpc.plan_network import PlanNetwork, bundled_network, find_network
+from learned.approximate_mpc.networks import load_network, network_for
+from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
@@ -62,7 +64,7 @@ class ApproximateMpcSettings:
 
     Attributes:
         policy: Name of a bundled network, or path of a file that ``carosac distill`` wrote; None
-            takes the bundled one of the robot.
+            takes the bundled one of the robot, or else that of its family, ``suspended-4``.
     """
 
     policy: str | None = None
@@ -329,16 +331,15 @@ class ApproximateMpc:
 
     Settings: ClassVar = ApproximateMpcSettings
 
-    def __init__(self, robot: Robot, network: PlanNetwork) -> None:
-        """Make sure that the network was trained for this robot.
+    def __init__(self, robot: Robot, network: PlanNetwork | FamilyNetwork) -> None:
+        """Make sure that the network was trained for this robot, or its family.
 
         Raises:
-            InvalidField: It was trained for another one; names what differs.
+            InvalidField: It was trained for others; names what differs.
         """
         network.check(robot)
-        self._network = network
+        self._plan = network.planner(robot)
         self._follower = PlanFollower(robot, network.settings, tension_share=network.tension_share)
-        self._numbers = PlanNumbers(robot)
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)
@@ -354,23 +355,23 @@ class ApproximateMpc:
             InvalidField: There is no network for this robot, or it was trained for another one.
         """
         chosen = settings or ApproximateMpcSettings()
-        name = bundled_network(robot) if chosen.policy is None else chosen.policy
-        return cls(robot, PlanNetwork.load(find_network(name)))
+        own = network_for(robot) if chosen.policy is None else load_network(chosen.policy)
+        return cls(robot, own)
 
     @staticmethod
     def check_settings(settings: ApproximateMpcSettings) -> None:
         """Refuse a network that is not there, or is none, before a study begins."""
         if settings.policy is not None:
-            PlanNetwork.load(find_network(settings.policy))
+            load_network(settings.policy)
 
     @staticmethod
     def check_robot(robot: Robot) -> None:
         """Refuse a robot for which none is bundled; studies ask before they choose it.
 
         Raises:
-            InvalidField: There is none, or it was trained for another robot of this name.
+            InvalidField: There is none.
         """
-        PlanNetwork.load(find_network(bundled_network(robot))).check(robot)
+        network_for(robot)
 
     def reset(self, belief: Belief) -> None:
         """Start at rest where the belief says.
@@ -403,7 +404,7 @@ class ApproximateMpc:
         if idle:
             length = self._follower.braked
         else:
-            tension, excess = self._network.plan(self._numbers.of(inputs))
+            tension, excess = self._plan(inputs)
             length = self._follower.follow(inputs, tension, excess)
         sent = self._fallback.command(length[None], belief, reference, reasons)
         if idle:

@@ -183,12 +183,16 @@ def draw_resting(
 
 
 def draw_path(
-    robot: Robot, settings: DemonstrationSettings, rng: np.random.Generator
+    robot: Robot,
+    settings: DemonstrationSettings,
+    rng: np.random.Generator,
+    *,
+    snap_share: float = SNAP_SHARE,
 ) -> Trajectory:
-    """Draw a path inside the workspace box."""
+    """Draw a path inside the workspace box; so many along minimum-snap paths."""
     speed = settings.speed_max * rng.uniform(0.3, 1.0)
     acceleration = settings.acceleration_max * rng.uniform(0.3, 1.0)
-    if rng.uniform() < SNAP_SHARE:
+    if rng.uniform() < snap_share:
         return trajectories.build(
             "minimum_snap", robot, int(rng.integers(2**31)), speed_max=speed,
             acceleration_max=acceleration,

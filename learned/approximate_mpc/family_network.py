@@ -78,7 +78,11 @@ class FamilyNetwork:
         """
         if not Path(path).is_file():
             raise MissingFile(path)
-        opened = open_network(path, PLAN_FILE_NAME)
+        return cls.of(path, open_network(path, PLAN_FILE_NAME))
+
+    @classmethod
+    def of(cls, path: str | Path, opened: OpenedNetwork) -> FamilyNetwork:
+        """Take the network of a file that is open; see `load`."""
         try:
             record = read_metadata(
                 path, opened.session.get_modelmeta().custom_metadata_map, FAMILY_SCHEMA,

@@ -16,7 +16,6 @@ from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
-from learned.bundled_files import find_bundled, list_bundled
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
     OpenedNetwork,
@@ -29,9 +28,8 @@ from learned.policy_file import (
 )
 from learned.policy_network import Layers
 
-PLAN_SCHEMA, PLAN_FOLDER = "carosac-plan/1", "plans"
+PLAN_SCHEMA = "carosac-plan/1"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
-BUNDLED = {"carosac": "carosac-mpc", "scampi": "scampi-mpc"}  # by the name of the robot
 INPUT_MAX = 1e6  # of the numbers that it reads
 
 
@@ -109,7 +107,11 @@ class PlanNetwork:
         """
         if not Path(path).is_file():
             raise MissingFile(path)
-        opened = open_network(path, PLAN_FILE_NAME)
+        return cls.of(path, open_network(path, PLAN_FILE_NAME))
+
+    @classmethod
+    def of(cls, path: str | Path, opened: OpenedNetwork) -> PlanNetwork:
+        """Take the network of a file that is open; see `load`."""
         try:
             record = read_record(
                 path, opened.session.get_modelmeta().custom_metadata_map, PLAN_SCHEMA,
@@ -196,31 +198,3 @@ def write_plan_network(path: str | Path, layers: Layers, description: PlanDescri
 def settings_record(settings: MpcSettings) -> dict[str, Any]:
     """Return settings of MPC as JSON holds them; numbers of the robot's size as they are."""
     return asdict(replace(settings, compiled="auto"))
-
-
-def list_networks() -> tuple[str, ...]:
-    """Return the names of the networks that come with the toolkit, sorted."""
-    return list_bundled(PLAN_FOLDER)
-
-
-def bundled_network(robot: Robot) -> str:
-    """Return the name of the bundled network that a robot gets by default.
-
-    Raises:
-        InvalidField: There is none.
-    """
-    if robot.name not in BUNDLED:
-        allowed = f"a robot with a bundled network, of {sorted(BUNDLED)}"
-        allowed += (
-            ", or a network of its own: `carosac distill`, then --set "
-            "controller.approximate_mpc.policy=FILE"
-            if robot.n < 6
-            else ": use mpc, as robots of six or more cables do not sway"
-        )
-        raise InvalidField("robot", repr(robot.name), allowed)
-    return BUNDLED[robot.name]
-
-
-def find_network(name_or_path: str) -> Path:
-    """Find the file of a network, a bundled one by its name; see `find_bundled`."""
-    return find_bundled(name_or_path, PLAN_FOLDER)

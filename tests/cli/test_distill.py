@@ -50,3 +50,17 @@ def test_wrong_options_are_refused(robot_file, tmp_path, capsys):
     assert main(["distill", "--robot", "cogiro", "--output", str(tmp_path / "eight")]) == 2
     assert "3 to 5" in capsys.readouterr().err
     assert not (tmp_path / "eight").exists()
+
+
+def test_a_network_of_the_family_is_trained_for_any_robot_of_it(tmp_path, capsys):
+    words = ["distill", "--family", "--drives", "1", "--updates", "20", "--workers", "1"]
+    out = ["--output", str(tmp_path / "out")]
+    assert main([*words, *out, "--json", str(tmp_path / "family.json")]) in (0, 1)
+    data = json.loads((tmp_path / "family.json").read_text())
+    assert data["robot"] == "suspended-4"
+    assert [row["robots"] for row in data["rounds"]] == [1, 2, 3, 4]
+    assert "over the weight per cable" in " ".join(capsys.readouterr().out.split())
+    assert main([*words, "scampi"]) == 2
+    assert "none with --family" in capsys.readouterr().err
+    assert main([*words, "--tension-share", "0.5"]) == 2
+    assert "--tension-share: got 0.5; allowed: none with --family" in capsys.readouterr().err

@@ -1,0 +1,247 @@
+"""One network for all suspended robots of four cables: what it reads, and how it is trained."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import carosac_toolkit as ct
+from baselines.mpc import MpcSettings
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.similar import similar_robot
+from learned.approximate_mpc.family_network import (
+    FamilyNetwork,
+    write_family_network,
+)
+from learned.approximate_mpc.family_numbers import COUNT, PLACES, FamilyNumbers, base_of, mirror
+from learned.approximate_mpc.family_robots import RANGES, draw_robot, outside, quantities
+from learned.approximate_mpc.family_training import (
+    FamilyDrive,
+    FamilySettings,
+    distill_family,
+    drive_settings,
+)
+from learned.approximate_mpc.model_world import ModelWorld, answers
+from learned.approximate_mpc.networks import load_network
+from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.teacher import Teacher
+
+SMALL = FamilySettings(
+    robots=(3, 1, 1), worlds=("model", "model", "simulator"), updates=(60, 60, 60), batch=64,
+    hidden=(16,),
+)  # fmt: skip
+NOT_OF_SIZE = np.delete(np.arange(COUNT), PLACES["robot"].start + np.arange(1, 5))
+
+
+def some_inputs(robot, seed=0):
+    """A state off a path, with speeds and pushes, in sizes of the robot."""
+    rng, scales = np.random.default_rng(seed), Scales(robot)
+    length, speed = scales.length, scales.length / scales.time
+    ahead = np.linspace(0.0, 1.0, MpcSettings().stages + 1)[:, None]
+    way = 0.1 * length * rng.standard_normal(3)
+    return PlanInputs(
+        position=robot.home_position + 0.01 * length * rng.standard_normal(3),
+        rotation=Rotation.from_rotvec(0.03 * rng.standard_normal(3)).as_matrix()
+        @ robot.home_rotation,
+        twist=np.concatenate([
+            0.03 * speed * rng.standard_normal(3), 0.05 / scales.time * rng.standard_normal(3),
+        ]),
+        target=robot.home_position + ahead * way,
+        target_velocity=ahead * way / scales.time,
+        center=0.002 * length * rng.standard_normal(3),
+        acceleration=np.concatenate([
+            0.02 * robot.gravity * rng.standard_normal(3),
+            0.02 / scales.time**2 * rng.standard_normal(3),
+        ]),
+        usual_tension=scales.tension * (1.0 + 0.1 * rng.standard_normal(robot.n)),
+        usual_place=0.01 * length * rng.standard_normal(3),
+    )  # fmt: skip
+
+
+def moved(robot, inputs, turn, order, flip):
+    """Robot and inputs turned and mirrored by `turn` (3, 3), with other numbers of cables."""
+    axial = np.linalg.det(turn) * turn
+
+    def body(matrix):  # the platform frame is mirrored, too
+        return turn @ matrix @ flip.T
+
+    return replace(
+        robot, exit_points=(robot.exit_points @ turn.T)[order],
+        anchor_points=(robot.anchor_points @ flip.T)[order],
+        center_of_mass=flip @ robot.center_of_mass, inertia=flip @ robot.inertia @ flip.T,
+        home_position=turn @ robot.home_position, home_rotation=body(robot.home_rotation),
+    ), replace(
+        inputs, position=turn @ inputs.position, rotation=body(inputs.rotation),
+        twist=np.concatenate([turn @ inputs.twist[:3], axial @ inputs.twist[3:]]),
+        target=inputs.target @ turn.T, target_velocity=inputs.target_velocity @ turn.T,
+        center=flip @ inputs.center,
+        acceleration=np.concatenate([
+            turn @ inputs.acceleration[:3], axial @ inputs.acceleration[3:]
+        ]),
+        usual_tension=inputs.usual_tension[order], usual_place=turn @ inputs.usual_place,
+    )  # fmt: skip
+
+
+def nearest(images, numbers, found):
+    """The image of numbers that is nearest to those found."""
+    return min(images, key=lambda x: np.abs(x.sign * numbers[x.order] - found).max())
+
+
+def planned(robot, inputs):
+    """First tensions that MPC plans [N], shape (n,)."""
+    teacher = Teacher(robot, MpcSettings())
+    rest = statics.inverse_kinematics(robot, robot.home_position[None]).tension
+    rests = np.broadcast_to(rest, (MpcSettings().stages, robot.n))
+    plan = teacher.ask(inputs, rests, np.zeros(robot.n), np.zeros(robot.n), 0.0)
+    return plan.tension[0]
+
+
+@pytest.fixture(scope="module", params=range(3))
+def drawn(request):
+    return draw_robot(np.random.default_rng(request.param), "drawn")
+
+
+@pytest.mark.parametrize("name", ["carosac", "scampi", "stadium", "desktop"])
+def test_bundled_robots_of_four_cables_above_are_of_the_family(name):
+    assert not outside(ct.load_robot(name))
+
+
+def test_a_drawn_robot_is_of_the_family_and_rests_all_over_its_box(drawn):
+    assert not outside(drawn)
+    share = np.random.default_rng(1).uniform(size=(50, 3))
+    places = drawn.workspace_min + share * (drawn.workspace_max - drawn.workspace_min)
+    rest = statics.inverse_kinematics(drawn, places)
+    assert (rest.converged & rest.stable).all()
+    assert (rest.tension > drawn.tension_min).all() and (rest.tension < drawn.tension_max).all()
+
+
+def test_a_robot_outside_of_the_ranges_is_refused_by_the_quantity():
+    robot = ct.load_robot("carosac")
+    assert set(quantities(robot)) == set(RANGES)
+    assert "strain at rest" in outside(replace(robot, axial_stiffness=1e-3 * robot.axial_stiffness))
+    assert "size of the frame [m] 0.1" in outside(similar_robot(robot, 0.01))
+    assert "rectangle" in outside(ct.load_robot("hangprinter"))
+
+
+def test_numbers_mean_the_same_whatever_the_size(drawn):
+    """All but those that tell the size and the period, which is the same for all robots."""
+    large = similar_robot(drawn, 4.0)
+    numbers = [FamilyNumbers(robot).of(some_inputs(robot)) for robot in (drawn, large)]
+    assert numbers[1][NOT_OF_SIZE] == pytest.approx(numbers[0][NOT_OF_SIZE], abs=1e-6)
+
+
+def test_numbers_do_not_depend_on_axes_or_on_the_order_of_cables(drawn):
+    inputs, turn = some_inputs(drawn), Rotation.from_euler("z", 130, degrees=True).as_matrix()
+    order = np.array([2, 0, 3, 1])
+    other, seen = moved(drawn, inputs, turn, order, np.eye(3))
+    first, second = FamilyNumbers(drawn), FamilyNumbers(other)
+    numbers, again = first.of(inputs), second.of(seen)
+    # Which end of the longer side is first is a matter of chance.
+    image = nearest([mirror(()), mirror((0, 1))], numbers, again)
+    assert again == pytest.approx(image.sign * numbers[image.order], abs=1e-6)
+    told = np.array([0.1, -0.05, 0.02, 0.07])
+    tension = first.tension(numbers, told)
+    assert second.tension(again, told[image.cables]) == pytest.approx(tension[order], rel=1e-6)
+    assert first.told(numbers, tension) == pytest.approx(told)
+
+
+@pytest.mark.parametrize("axes", [(0,), (1,), (0, 1)])
+def test_mpc_does_in_a_mirror_image_what_it_does_mirrored(drawn, axes):
+    inputs, flip = some_inputs(drawn), np.eye(3)
+    flip[axes, axes] = -1.0
+    other, seen = moved(drawn, inputs, flip, np.arange(4), flip)
+    assert planned(other, seen) == pytest.approx(planned(drawn, inputs), rel=1e-4)
+    numbers, mirrored = FamilyNumbers(drawn).of(inputs), FamilyNumbers(other).of(seen)
+    images = [mirror((0,)), mirror((1,))] if len(axes) == 1 else [mirror(()), mirror((0, 1))]
+    image = nearest(images, numbers, mirrored)  # the longer side may be y
+    assert mirrored == pytest.approx(image.sign * numbers[image.order], abs=1e-6)
+    assert base_of(mirrored) == pytest.approx(base_of(numbers)[image.cables], abs=1e-6)
+
+
+def test_mpc_follows_a_path_in_its_own_model():
+    robot = ct.load_robot("carosac")
+    settings, rng = drive_settings(robot), np.random.default_rng(0)
+    teacher = Teacher(robot, MpcSettings())
+    world = ModelWorld(robot, settings, teacher.settings.period, teacher.grid, rng)
+    away = []
+    while world.time < world.end:
+        inputs = world.look()
+        away.append(np.linalg.norm(inputs.position - inputs.target[0]))
+        rest, habit = world.rest(inputs)
+        world.move(teacher.ask(inputs, rest, habit, np.zeros(4), world.time).tension[0])
+    assert away[0] > 0.01  # it starts off the path
+    assert max(away[-20:]) < 0.01
+
+
+def test_answers_are_those_of_the_states_that_are_given():
+    robot, rng = ct.load_robot("carosac"), np.random.default_rng(1)
+    settings = replace(drive_settings(robot), nearby=0)
+    reader = FamilyNumbers(robot)
+    for k, (inputs, tension) in enumerate(answers(robot, settings, MpcSettings(), rng, None)):
+        numbers = reader.of(inputs)
+        assert reader.tension(numbers, reader.told(numbers, tension)) == pytest.approx(tension)
+        if k == 3:
+            break
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    pytest.importorskip("torch")
+    place = tmp_path_factory.mktemp("family")
+    distill_family(place, settings=SMALL)
+    return place
+
+
+def test_a_training_that_was_killed_goes_on_as_if_it_had_not(folder):
+    before = (folder / "network.onnx").read_bytes()
+    table = (folder / "rounds.csv").read_text()
+    for name in ("drive-0004.npz", "round-3.onnx", "network.onnx"):
+        (folder / name).unlink()
+    distill_family(folder, settings=SMALL)
+    assert (folder / "network.onnx").read_bytes() == before
+    assert (folder / "rounds.csv").read_text() == table
+    with pytest.raises(InvalidField, match="another training"):
+        distill_family(folder, seed=1, settings=SMALL)
+
+
+def test_drives_in_both_worlds_have_answers(folder):
+    for k in range(5):
+        drive = FamilyDrive.load(folder / f"drive-{k:04d}.npz")
+        assert drive.numbers.shape[1] == COUNT and drive.told.shape[1] == 4
+        assert len(drive.numbers) > 20 or drive.lost
+
+
+def test_a_network_drives_any_robot_of_the_family_and_no_other(folder, tmp_path):
+    network = load_network(str(folder / "network.onnx"))
+    assert isinstance(network, FamilyNetwork)
+    for name in ("carosac", "stadium"):
+        robot = ct.load_robot(name)
+        network.check(robot)
+        tension, excess = network.planner(robot)(some_inputs(robot))
+        assert (tension >= robot.tension_min).all() and (tension <= robot.tension_max).all()
+        assert np.isfinite(excess).all()
+    with pytest.raises(InvalidField, match="exit points off a level rectangle"):
+        network.check(ct.load_robot("hangprinter"))
+    with pytest.raises(InvalidField, match="8 cables"):
+        network.check(ct.load_robot("cogiro"))
+    other = replace(network.description, ranges={name: [0.0, 1.0] for name in RANGES})
+    layers = [(np.full((4, COUNT), 0.1), np.zeros(4))]
+    write_family_network(tmp_path / "other.onnx", layers, other)
+    with pytest.raises(InvalidField, match="other ranges"):
+        FamilyNetwork.load(tmp_path / "other.onnx")
+    layers = [(np.full((4, 7), 0.1), np.zeros(4))]
+    write_family_network(tmp_path / "small.onnx", layers, network.description)
+    with pytest.raises(InvalidField, match="of 7 to 4 numbers"):
+        FamilyNetwork.load(tmp_path / "small.onnx")
+
+
+def test_settings_that_make_no_sense_are_refused():
+    with pytest.raises(InvalidField, match="as many of each"):
+        FamilySettings(robots=(1,), worlds=("model", "model"), updates=(1,))
+    with pytest.raises(InvalidField, match="worlds"):
+        FamilySettings(robots=(1,), worlds=("moon",), updates=(1,))
