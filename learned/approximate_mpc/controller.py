@@ -13,6 +13,7 @@ References:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -26,7 +27,7 @@ from baselines.mpc.length_offsets import OFFSET_TIME, LengthOffsets
 from baselines.mpc.observer import BELIEF_GATE, twist_by_pose
 from baselines.mpc.plan_times import settings_for, stage_durations, times_of
 from baselines.mpc.planner import PlanTarget
-from baselines.mpc.settings import MpcSettings
+from baselines.mpc.settings import Compiled, MpcSettings
 from baselines.mpc.soft_start import SoftStart
 from baselines.mpc.target_reader import CHASE_DISTANCE_MAX, TargetReader
 from baselines.mpc.unknown_load import (
@@ -78,7 +79,14 @@ class PlanFollower:
         horizon: How far ahead the reference must reach [s].
     """
 
-    def __init__(self, robot: Robot, settings: MpcSettings, *, tension_share: float = 1.0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        settings: MpcSettings,
+        *,
+        tension_share: float = 1.0,
+        compiled: Compiled = "never",
+    ) -> None:
         """Prepare for a robot of three to five cables.
 
         Args:
@@ -86,6 +94,8 @@ class PlanFollower:
             settings: Of MPC.
             tension_share: Of the way to new tensions, in a command. Beliefs tremble as cables
                 vibrate; what trembles less is sent back less, and later.
+            compiled: Whether what a command does is compiled for the robot, which takes seconds the
+                first time; as in `MpcSettings`.
 
         Raises:
             InvalidField: It has fewer, or more.
@@ -105,7 +115,7 @@ class PlanFollower:
         self._winches = WinchReference(robot, period=self.period, jerk_max=jerk_max)
         self._motion = FastMotion(
             robot, period=self.period, jerk_max=jerk_max,
-            offsets=self._offsets, excess=self._excess,
+            offsets=self._offsets, excess=self._excess, compiled=compiled,
         )  # fmt: skip
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
@@ -123,8 +133,9 @@ class PlanFollower:
         self._acceleration: Array = np.zeros(6)
         self._state: Array = np.zeros(model.STATE_SIZE)
         self._base: Array = np.eye(3)
-        self._middle = 0.5 * (robot.workspace_max + robot.workspace_min)
-        self._reach = (0.5 + 0.5 * BOX_EXCESS_MAX) * (robot.workspace_max - robot.workspace_min)
+        middle = 0.5 * (robot.workspace_max + robot.workspace_min)
+        reach = (0.5 + 0.5 * BOX_EXCESS_MAX) * (robot.workspace_max - robot.workspace_min)
+        self._box = bounds(middle - reach, middle + reach)
         self._turns = bool((robot.pulley_radius > 0.0).any())
 
     def reset(self, belief: Belief) -> None:
@@ -152,7 +163,7 @@ class PlanFollower:
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
         """Return what the next plan depends on, and why there must be none, or nothing."""
         position, rotation, twist = belief.position[0], belief.rotation[0], self._twist(belief)
-        if self._turns or np.abs(self._free - self._geometry.free).max() > self._ridden:
+        if self._turns or not within(self._free, self._rides):
             self._place(geometry_at(self.robot, position, rotation))
         told = belief.center_of_mass
         if told is not None and np.abs(told[0] - self._center).max() > self._center_step:
@@ -259,7 +270,8 @@ class PlanFollower:
     def _place(self, geometry: Geometry) -> None:
         """Bring the parameters of the model up to date."""
         self._geometry = geometry
-        self._ridden = RIDING_SHARE * geometry.free.max()
+        ridden = RIDING_SHARE * geometry.free.max()
+        self._rides = bounds(geometry.free - ridden, geometry.free + ridden)
         self._wrapped = geometry.length - geometry.free
         self._motion.parameters[:] = model.parameters(
             self.robot, rotation=np.eye(3), length=geometry.free, exits=geometry.exits,
@@ -294,10 +306,9 @@ class PlanFollower:
         """Return why nothing must be planned from here, or nothing."""
         if not distance <= self._gate:
             return APART
-        if not (np.abs(target - self._middle) <= self._reach).all():
+        if not within(target, self._box):
             return OUTSIDE
-        away = position - target
-        return "" if away @ away <= self._chase**2 else FAR
+        return "" if math.dist(position, target) <= self._chase else FAR
 
     def _learn(self, innovation: Array, *, told: bool) -> None:
         """Take in what the twist has beyond its prediction, in the free ways (6,)."""
@@ -305,6 +316,18 @@ class PlanFollower:
         most = self._acceleration_max
         found = self._acceleration + innovation / duration
         self._acceleration = np.minimum(np.maximum(found, -most), most)
+
+
+def bounds(low: Array, high: Array) -> list[tuple[float, float]]:
+    """Return bounds (k,) for `within`."""
+    return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def within(values: Array, allowed: list[tuple[float, float]]) -> bool:
+    """Return whether all values (k,) are within bounds; of a few, NumPy takes longer."""
+    return all(
+        low <= value <= high for value, (low, high) in zip(values.tolist(), allowed, strict=True)
+    )
 
 
 def check_cables(robot: Robot) -> None:
@@ -339,7 +362,10 @@ class ApproximateMpc:
         """
         network.check(robot)
         self._plan = network.planner(robot)
-        self._follower = PlanFollower(robot, network.settings, tension_share=network.tension_share)
+        self._follower = PlanFollower(
+            robot, network.settings, tension_share=network.tension_share,
+            compiled=network.settings.compiled,
+        )  # fmt: skip
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)

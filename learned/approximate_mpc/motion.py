@@ -1,7 +1,8 @@
 """What a command does beside its network, in two CasADi functions.
 
-They run in CasADi's virtual machine, in microseconds and without a compiler. Built of the formulas
-of `baselines.mpc`: its prediction model, length offsets, excess filter and winch reference.
+Compiled to machine code where there is a compiler, else they run in CasADi's virtual machine, in
+some tens of microseconds more. Built of the formulas of `baselines.mpc`: its prediction model,
+length offsets, excess filter and winch reference.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from baselines.mpc import model
 from baselines.mpc.arithmetic import expressions
 from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.length_offsets import LengthOffsets
+from baselines.mpc.machine_code import with_machine_code
+from baselines.mpc.settings import Compiled
 from baselines.mpc.winch_reference import WinchFormulas, WinchState
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
@@ -80,6 +83,7 @@ class FastMotion:
         jerk_max: float,
         offsets: LengthOffsets,
         excess: ExcessFilter,
+        compiled: Compiled = "never",
     ) -> None:
         """Build the functions.
 
@@ -89,11 +93,12 @@ class FastMotion:
             jerk_max: Of commands [m/s^3].
             offsets: Gives the formulas; values are those of each call.
             excess: The same.
+            compiled: As in `MpcSettings`.
         """
         n = self._n = robot.n
         motion = model.continuous(n)
-        self._before = _before(motion, n, offsets)
-        self._after = _after(motion, robot, period, jerk_max, excess)
+        self._before = _Packed(*_before(motion, n, offsets), compiled)
+        self._after = _Packed(*_after(motion, robot, period, jerk_max, excess), compiled)
         self.parameters = np.zeros(motion.size1_in(2))
 
     def look(
@@ -150,8 +155,12 @@ class FastMotion:
         )  # fmt: skip
 
 
-def _before(motion: Any, n: int, offsets: LengthOffsets) -> _Packed:
-    """Build what comes before the network."""
+Expressions = tuple[str, list[Any], list[Any]]
+"""Name, inputs and outputs of a function."""
+
+
+def _before(motion: Any, n: int, offsets: LengthOffsets) -> Expressions:
+    """Return what comes before the network."""
     import casadi as ca
 
     do = expressions()
@@ -172,7 +181,7 @@ def _before(motion: Any, n: int, offsets: LengthOffsets) -> _Packed:
     base = p[model.parameter_rows(n)["rotation"]]
     turned = ca.vec(model.rotation_expression(ca, moved[3:6], base).T)  # row by row
     innovation = innovation - along @ (jacobian @ innovation)
-    return _Packed(
+    return (
         "before",
         [x, p, twist, offset, most, sent, rate],
         [lengths, innovation, apart, *learned, moved, turned],
@@ -181,8 +190,8 @@ def _before(motion: Any, n: int, offsets: LengthOffsets) -> _Packed:
 
 def _after(
     motion: Any, robot: Robot, period: float, jerk_max: float, excess: ExcessFilter
-) -> _Packed:
-    """Build what comes after it."""
+) -> Expressions:
+    """Return what comes after it."""
     import casadi as ca
 
     do, n = expressions(), robot.n
@@ -199,7 +208,7 @@ def _after(
     path = motion(after, tension, p)[3]
     moved = excess.after(value, rate, target - value)
     then, cut = formulas.follow(winches, commands, path[:n] + surplus + moved[0], path[n : 2 * n])
-    return _Packed(
+    return (
         "after",
         [x, p, u, target, value, rate, surplus, *now],
         [after, tension, *moved, *then, cut],
@@ -229,14 +238,17 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
 class _Packed:
     """A CasADi function whose inputs are one vector in memory, and its outputs another."""
 
-    def __init__(self, name: str, inputs: list[Any], outputs: list[Any]) -> None:
+    def __init__(
+        self, name: str, inputs: list[Any], outputs: list[Any], compiled: Compiled
+    ) -> None:
         """Build it of expressions."""
         import casadi as ca
 
         packed = ca.SX.sym("packed", sum(each.numel() for each in inputs))
         values = ca.densify(ca.vertcat(*outputs))
         values = ca.substitute(values, ca.vertcat(*inputs), packed)
-        function: Any = ca.Function(name, [packed], [values], {"cse": True})
+        built = ca.Function(f"{name}_network", [packed], [values], {"cse": True})
+        function, _ = with_machine_code(built, compiled)
         self._function = function
         self._buffer, self._evaluate = function.buffer()
         self._input, self._output = np.zeros(packed.numel()), np.zeros(values.numel())

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from baselines.mpc import model
 from baselines.mpc.geometry import geometry_at
-from baselines.mpc.stage_function import CompileError, StageFunction, cache_folder
+from baselines.mpc.machine_code import CompileError, cache_folder
+from baselines.mpc.stage_function import StageFunction
 from carosac_toolkit.physics.rest import statics
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
