@@ -363,8 +363,8 @@ class ApproximateMpc:
         network.check(robot)
         self._plan = network.planner(robot)
         self._follower = PlanFollower(
-            robot, network.settings, tension_share=network.tension_share,
-            compiled=network.settings.compiled,
+            robot, network.settings_of(robot), tension_share=network.tension_share,
+            compiled=network.settings_of(robot).compiled,
         )  # fmt: skip
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)

@@ -295,9 +295,9 @@ class _Asking:
 
     def demonstrations(self, error: float, lost: str) -> Demonstrations:
         """Return all answers."""
-        n, count = self._robot.n, len(self._numbers)
+        n, size = self._robot.n, self._reader.count(self._follower.settings.stages)
         return Demonstrations(
-            numbers=np.array(self._numbers).reshape(count, -1),
+            numbers=np.array(self._numbers).reshape(-1, size),
             tension=np.array(self._tension).reshape(-1, n),
             excess=np.array(self._excess).reshape(-1, n),
             error=error,

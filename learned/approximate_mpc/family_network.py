@@ -15,7 +15,12 @@ from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_numbers import COUNT, FamilyNumbers
-from learned.approximate_mpc.family_robots import CABLES, RANGES, check_family
+from learned.approximate_mpc.family_robots import (
+    CABLES,
+    RANGES,
+    check_family,
+    family_settings,
+)
 from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs, TensionCallback
 from learned.approximate_mpc.plan_network import INPUT_MAX, PLAN_FILE_NAME
@@ -56,14 +61,13 @@ class FamilyNetwork:
 
     Attributes:
         description: What it was trained for.
-        settings: Of MPC: the defaults, which grow with the robot.
         tension_share: All of the way to new tensions.
     """
 
     tension_share = 1.0
 
     def __init__(self, opened: OpenedNetwork, description: FamilyDescription) -> None:
-        self.description, self.settings = description, MpcSettings()
+        self.description = description
         self._tell = Perceptron(opened.layers)
 
     @classmethod
@@ -106,6 +110,10 @@ class FamilyNetwork:
         if not np.abs(numbers).max() <= INPUT_MAX:
             raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
         return self._tell(numbers)
+
+    def settings_of(self, robot: Robot) -> MpcSettings:
+        """Return the settings of MPC for a robot."""
+        return family_settings(robot)
 
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""

@@ -20,7 +20,7 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
-from learned.approximate_mpc.family_robots import CABLES, layout_of
+from learned.approximate_mpc.family_robots import CABLES, family_settings, layout_of
 from learned.approximate_mpc.plan_inputs import PlanInputs
 
 TIMES = MpcSettings().stages + 1  # of a plan
@@ -56,9 +56,9 @@ _TENSOR = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))  # rows and columns of the si
 class FamilyNumbers:
     """Turns inputs into the numbers that a network of the family reads, and back what it tells."""
 
-    def __init__(self, robot: Robot, settings: MpcSettings | None = None) -> None:
-        """Take a robot of the family and the settings of its MPC; None takes the defaults."""
-        chosen, weight_time = settings_for(robot, settings or MpcSettings())
+    def __init__(self, robot: Robot) -> None:
+        """Take a robot of the family."""
+        chosen, weight_time = settings_for(robot, family_settings(robot))
         scales, layout = Scales(robot), layout_of(robot)
         self._robot, self._order, self._turn = robot, layout.order, layout.turn
         self._length, self._time, self._tension = scales.length, scales.time, scales.tension
@@ -83,6 +83,10 @@ class FamilyNumbers:
         robot = self._robot
         middle = np.clip(self._tension, robot.tension_min, robot.tension_max)
         self._rest, self._where = np.tile(middle, (3, 1)), np.full((3, 3), np.nan)
+
+    def count(self, stages: int) -> int:
+        """Return how many numbers these are; plans of the family all have as many stages."""
+        return COUNT
 
     def of(self, inputs: PlanInputs) -> Array:
         """Return the numbers, shape (COUNT,)."""

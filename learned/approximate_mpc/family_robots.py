@@ -1,17 +1,20 @@
 """The family `suspended-4`: robots of four cables from above, of any size, in stated ranges.
 
 Lengths are in that of a cable, L, times in sqrt(L / g), forces in the weight per cable; see
-`carosac_toolkit.physics.scales`. Only the size of the frame is in metres.
+`carosac_toolkit.physics.scales`. Only the size of the frame and the fastest motion have
+units. A small platform turns fast on its cables, so that it gets its commands at a higher rate.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.mpc.plan_times import fastest_motion
+from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.physics.rest import statics
@@ -39,11 +42,13 @@ RANGES = {
     "acceleration [g]": (0.35, 1.6),
     "winch lag": (0.02, 0.08),
     "air drag": (0.0, 0.08),
+    "fastest motion [rad/s]": (0.0, 60.0),
 }
+TURN_MAX = 0.3  # of the fastest motion from one command to the next [rad]
 DAMPING = (0.004, 0.05)  # of the stretch, as a share of critical
 HARDEST_REST = 1.5, 0.5  # of the least and of the largest tension: no rest in the box is beyond
 TILT_COSINE_MIN = 0.9  # of a rest in the box
-TRIES_MAX = 500
+TRIES_MAX = 2000
 MASS_KG = (0.1, 20.0)  # of a robot of a metre
 
 
@@ -101,6 +106,7 @@ def quantities(robot: Robot) -> dict[str, Array]:
         robot.tension_min / tension, robot.tension_max / tension,
         robot.speed_max * time / length, robot.acceleration_max / robot.gravity,
         robot.winch_lag / time, robot.drag * time / robot.mass,
+        fastest_motion(robot),
     )  # fmt: skip
     return {
         name: np.array([np.min(value), np.max(value)])
@@ -116,6 +122,15 @@ def outside(robot: Robot) -> str:
             worst = found[0] if not low <= found[0] else found[1]
             return f"{name} {worst:.3g}, allowed: {low:g} to {high:g}"
     return ""
+
+
+def family_settings(robot: Robot) -> MpcSettings:
+    """Return the settings of MPC for a robot of the family: the defaults, and its period.
+
+    That is shorter where the platform moves so fast that a command each 20 ms would be too few.
+    """
+    usual, fastest = MpcSettings(), fastest_motion(robot)
+    return replace(usual, period=min(usual.period, TURN_MAX / max(fastest, TURN_MAX)))
 
 
 def check_family(robot: Robot) -> None:

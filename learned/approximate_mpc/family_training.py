@@ -32,7 +32,7 @@ from learned.approximate_mpc.family_network import (
     write_family_network,
 )
 from learned.approximate_mpc.family_numbers import CHANGE_MAX, COUNT, FamilyNumbers, mirror
-from learned.approximate_mpc.family_robots import CABLES, draw_robot
+from learned.approximate_mpc.family_robots import CABLES, draw_robot, family_settings
 from learned.approximate_mpc.model_world import answers
 from learned.approximate_mpc.perceptron import Perceptron
 from learned.approximate_mpc.rounds import (
@@ -76,9 +76,9 @@ class FamilySettings:
         decay: Of weights, decoupled from the gradient.
     """
 
-    robots: tuple[int, ...] = (1200, 500, 300, 300)
+    robots: tuple[int, ...] = (600, 200, 140, 140)
     worlds: tuple[World, ...] = ("model", "model", "simulator", "simulator")
-    updates: tuple[int, ...] = (12000, 12000, 12000, 40000)
+    updates: tuple[int, ...] = (6000, 6000, 6000, 20000)
     batch: int = 512
     hidden: tuple[int, ...] = (384, 384, 192)
     rate: float = 1e-3
@@ -230,7 +230,8 @@ def _in_model(
     plan = None if network is None else network.tensions(robot)
     numbers, told, lost = [], [], ""
     try:
-        for inputs, tension in answers(robot, drive_settings(robot), MpcSettings(), rng, plan):
+        mpc = family_settings(robot)
+        for inputs, tension in answers(robot, drive_settings(robot), mpc, rng, plan):
             numbers.append(reader.of(inputs))
             told.append(reader.told(numbers[-1], tension))
     except CarosacError as reason:
@@ -244,9 +245,10 @@ def _in_simulation(
     """Drive a simulated plant, behind an estimator."""
     reader, scales = FamilyNumbers(robot), Scales(robot)
     longest = SIMULATED_TIME * scales.time
-    every = max(1, round(longest / MpcSettings().period / ANSWERS))
+    mpc = family_settings(robot)
+    every = max(1, round(longest / mpc.period / ANSWERS))
     settings = replace(drive_settings(robot), every=every)
-    found = demonstrate(robot, settings, MpcSettings(), seed, network, reader, longest)
+    found = demonstrate(robot, settings, mpc, seed, network, reader, longest)
     told = np.array([
         reader.told(row, tension)
         for row, tension in zip(found.numbers, found.tension, strict=True)

@@ -47,6 +47,9 @@ class PlanInputs:
 class PlanReader(Protocol):
     """Turns inputs into the numbers that some network reads."""
 
+    def count(self, stages: int) -> int:
+        """Return how many numbers these are, for a plan of some stages."""
+
     def of(self, inputs: PlanInputs) -> Array:
         """Return the numbers, shape (m,)."""
 
@@ -98,10 +101,15 @@ class PlanNumbers:
 
     def __init__(self, robot: Robot) -> None:
         """Take the robot's box and home."""
+        self._robot = robot
         self._middle = 0.5 * (robot.workspace_min + robot.workspace_max)
         self._unit = 2.0 / (robot.workspace_max - robot.workspace_min)
         self._home = np.ascontiguousarray(robot.home_rotation.T)
         self._share = robot.n / robot.weight
+
+    def count(self, stages: int) -> int:
+        """Return how many numbers these are, for a plan of some stages."""
+        return input_count(self._robot, stages)
 
     def of(self, inputs: PlanInputs) -> Array:
         """Return the numbers, in units of the robot where they have any."""

@@ -141,6 +141,10 @@ class PlanNetwork:
         told = self._middle + self._half * self._tell(numbers)
         return told[: self._n], told[self._n :]
 
+    def settings_of(self, robot: Robot) -> MpcSettings:
+        """Return the settings of MPC; they are of the robot that it was trained for."""
+        return self.settings
+
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""
         numbers = PlanNumbers(robot)
