@@ -65,7 +65,7 @@ class ApproximateMpcSettings:
 
     Attributes:
         policy: Name of a bundled network, or path of a file that ``carosac distill`` wrote; None
-            takes the bundled one of the robot, or else that of its family, ``suspended-4``.
+            takes the bundled one of the robot.
     """
 
     policy: str | None = None

@@ -53,8 +53,8 @@ def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
                 raise
         else:
             return network
-    if robot.n != CABLES:
-        allowed = f"a robot with a bundled network, of {sorted(BUNDLED)}, or of {FAMILY}"
+    if robot.n != CABLES or FAMILY not in list_networks():
+        allowed = f"a robot with a bundled network, as it is, of {sorted(BUNDLED)}"
         raise InvalidField("robot", repr(robot.name), allowed + instead(robot))
     family = load_network(FAMILY)
     try:

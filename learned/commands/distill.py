@@ -51,7 +51,7 @@ class Options(DefaultRobotOptions):
     """Train the network of all suspended robots of four cables instead of that of a robot."""
     drives: int | None = None
     """Drives of each of the four rounds: fewer for a first look. By default 80 to 120, about half
-    an hour on two cores; with --family 300 to 1200, an hour and a half."""
+    an hour on two cores; with --family 140 to 600."""
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth
     of them."""

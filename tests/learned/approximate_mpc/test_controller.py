@@ -182,13 +182,13 @@ def test_it_is_refused_for_robots_that_it_does_not_know():
         PlanFollower(eight_cable_robot(), MpcSettings())
     with pytest.raises(InvalidField, match="carosac distill"):
         ApproximateMpc.build(hanging(3))
-    with pytest.raises(InvalidField, match=r"strain at rest.*carosac distill"):
+    with pytest.raises(InvalidField, match="carosac distill"):
         ApproximateMpc.build(replace(ct.load_robot("carosac"), mass=1.0))
     with pytest.raises(InvalidField, match="other values of mass"):
         ApproximateMpc(replace(ct.load_robot("carosac"), mass=1.0), load_network("carosac-mpc"))
     with pytest.raises(InvalidField, match="one of"):
         ApproximateMpc.check_settings(ApproximateMpcSettings(policy="carosac-mcp"))
-    assert list_networks() == ("carosac-mpc", "scampi-mpc", "suspended-4")
+    assert list_networks() == ("carosac-mpc", "scampi-mpc")
 
 
 def test_a_reference_that_ends_too_soon_is_refused():
