@@ -182,3 +182,25 @@ def test_tensions_are_those_of_winches_that_cannot_accelerate_more(swaying):
     given = stage_of(swaying, swaying.state, pull)[1][2 * n :]
     assert ((wanted < allowed.low) | (wanted > allowed.high)).any()
     assert given == pytest.approx(np.clip(wanted, allowed.low, allowed.high), abs=1e-9)
+
+
+def test_machine_code_gives_what_the_interpreter_gives(swaying, tmp_path, monkeypatch):
+    monkeypatch.setenv("CAROSAC_CACHE", str(tmp_path))
+    n = swaying.robot.n
+    motion = FastMotion(
+        swaying.robot, period=PERIOD, jerk_max=JERK_MAX, offsets=swaying.offsets,
+        excess=swaying.excess, compiled="always",
+    )  # fmt: skip
+    motion.parameters[:] = swaying.motion.parameters
+    assert len(list(tmp_path.glob("*.so"))) == 2
+    other = replace(swaying, motion=motion)
+    sent, rate = swaying.geometry.free + 0.01, np.linspace(-0.5, 0.5, n)
+    for mine, theirs in zip(
+        other.look(sent, rate, other.offsets), swaying.look(sent, rate, swaying.offsets),
+        strict=True,
+    ):  # fmt: skip
+        assert mine == pytest.approx(theirs, abs=1e-12)
+    tension, excess = np.full(n, swaying.robot.weight / n), np.full(n, 0.01)
+    mine, theirs = (advanced(each, tension, excess, swaying.winches) for each in (other, swaying))
+    assert mine.state == pytest.approx(theirs.state, abs=1e-12)
+    assert mine.winches.sent == pytest.approx(theirs.winches.sent, abs=1e-12)
