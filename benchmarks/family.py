@@ -28,7 +28,7 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
-from carosac_toolkit.loop.values import FallbackSource
+from carosac_toolkit.loop.protocols import FallbackSource
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.robot import Robot
