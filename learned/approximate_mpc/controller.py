@@ -362,10 +362,10 @@ class ApproximateMpc:
         """
         network.check(robot)
         self._plan = network.planner(robot)
+        settings = network.settings_of(robot)
         self._follower = PlanFollower(
-            robot, network.settings_of(robot), tension_share=network.tension_share,
-            compiled=network.settings_of(robot).compiled,
-        )  # fmt: skip
+            robot, settings, tension_share=network.tension_share, compiled=settings.compiled
+        )
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)
@@ -395,7 +395,7 @@ class ApproximateMpc:
         """Refuse a robot for which none is bundled; studies ask before they choose it.
 
         Raises:
-            InvalidField: There is none.
+            InvalidField: There is none, or it was trained for another robot of this name.
         """
         network_for(robot)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from carosac_toolkit.base.errors import InvalidField, MissingFile
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_network import FAMILY_SCHEMA, FamilyNetwork
-from learned.approximate_mpc.family_robots import CABLES, FAMILY
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork
 from learned.bundled_files import find_bundled, list_bundled
 from learned.policy_file import METADATA_PREFIX, open_network
@@ -37,41 +36,21 @@ def load_network(name_or_path: str) -> PlanNetwork | FamilyNetwork:
 def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
     """Return the bundled network that a robot gets by default, checked.
 
-    That is the one that was trained for it; if there is none, or the robot has other values, that
-    of its family.
-
     Raises:
-        InvalidField: There is none.
+        InvalidField: There is none, or it was trained for another robot of this name.
     """
-    own = BUNDLED.get(robot.name)
-    if own is not None:
-        network = load_network(own)
-        try:
-            network.check(robot)
-        except InvalidField:
-            if robot.n != CABLES:
-                raise
-        else:
-            return network
-    if robot.n != CABLES or FAMILY not in list_networks():
-        allowed = f"a robot with a bundled network, as it is, of {sorted(BUNDLED)}"
-        raise InvalidField("robot", repr(robot.name), allowed + instead(robot))
-    family = load_network(FAMILY)
-    try:
-        family.check(robot)
-    except InvalidField as error:
-        raise InvalidField("robot", error.value, error.allowed + instead(robot)) from error
-    return family
-
-
-def instead(robot: Robot) -> str:
-    """Return what else a robot without a network can do, as the end of a sentence."""
-    if robot.n >= 6:
-        return ": use mpc, as robots of six or more cables do not sway"
-    return (
-        ", or a network of its own: `carosac distill`, then --set "
-        "controller.approximate_mpc.policy=FILE"
-    )
+    if robot.name not in BUNDLED:
+        allowed = f"a robot with a bundled network, of {sorted(BUNDLED)}"
+        allowed += (
+            ", or a network of its own: `carosac distill`, then --set "
+            "controller.approximate_mpc.policy=FILE"
+            if robot.n < 6
+            else ": use mpc, as robots of six or more cables do not sway"
+        )
+        raise InvalidField("robot", repr(robot.name), allowed)
+    network = load_network(BUNDLED[robot.name])
+    network.check(robot)
+    return network
 
 
 def list_networks() -> tuple[str, ...]:
