@@ -1,6 +1,6 @@
 """The network `suspended-4` against MPC on robots that it never saw.
 
-Run by hand: ``python -m benchmarks.family [--robots N] [--network FILE]``; two processes. The
+Run by hand: ``python -m benchmarks.family --network FILE [--robots N]``; two processes. The
 bundled robots of the family come first, then drawn ones; each has a plant of nominal-2, and two
 paths in its box: a straight move and a minimum-snap path, as fast as drives of the training.
 ``dynamic_estimator`` on lengths and IMU. A ratio is that of RMS tracking over both paths. Runs are
@@ -15,7 +15,6 @@ import hashlib
 import json
 import multiprocessing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +34,9 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.divergence import divergence
 from carosac_toolkit.trajectories import Trajectory
-from learned.approximate_mpc.demonstrations import draw_path, draw_resting
-from learned.approximate_mpc.family_robots import FAMILY, draw_robot
-from learned.approximate_mpc.family_training import drive_settings
+from learned.approximate_mpc.demonstrations import CALM_TIME, draw_path, draw_resting
+from learned.approximate_mpc.family_robots import draw_robot
+from learned.approximate_mpc.family_training import SIMULATED_TIME, drive_settings
 from learned.approximate_mpc.networks import find_network
 
 KEPT = Path(__file__).parent / "family.parts"
@@ -45,7 +44,6 @@ TITLE = "One network for a family of robots"
 NAMED = ("carosac", "scampi", "stadium", "desktop")
 PATHS = ("move", "minimum snap")
 CONDITION, SUITE, ESTIMATOR = "nominal-2", "lengths+imu", "dynamic_estimator"
-LONGEST, CALM = 8.0, 2.5  # of a path, and of holding still behind it, in sqrt(L / g)
 SEED = 2032  # of the drawn robots: not one of a training
 
 
@@ -98,7 +96,8 @@ def score(drive: Drive) -> dict[str, Any]:
             seed=drive.number,
         )  # fmt: skip
         estimator = plugins.load("estimators", ESTIMATOR).build(robot)
-        duration = min(path.duration, LONGEST * scales.time) + CALM * scales.time
+        longest = SIMULATED_TIME * scales.time
+        duration = min(path.duration, longest) + CALM_TIME.of(scales.ratios)
         log = run(driver, estimator, controller, path, duration=duration)
     except CarosacError as failure:
         return {"failed": str(failure)[:160]}
@@ -132,7 +131,7 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--robots", type=int, default=50)
-    parser.add_argument("--network", default=FAMILY)
+    parser.add_argument("--network", required=True, help="ONNX file of `carosac distill --family`")
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     drives = [
@@ -140,7 +139,7 @@ def main() -> None:
         for number in range(asked.robots) for path in PATHS for network in (None, asked.network)
     ]  # fmt: skip
     with multiprocessing.get_context("spawn").Pool(asked.processes) as pool:
-        found = pool.map(partial(kept), drives, chunksize=1)
+        found = pool.map(kept, drives, chunksize=1)
     rows = dict(zip(drives, found, strict=True))
     ratios, diverged, slack, over, lost = {}, [[], []], [], [], [[], []]
     for number in range(asked.robots):
@@ -187,7 +186,7 @@ def main() -> None:
     for k in sorted(set(diverged[1] + lost[1])):
         print(k, [rows[Drive(number=k, path=p, network=asked.network)] for p in PATHS])
     if asked.robots >= 50:
-        write_section("family", TITLE, "python -m benchmarks.family", "\n".join(text))
+        write_section("family", TITLE, "python -m benchmarks.family --network FILE", "\n".join(text))
 
 
 if __name__ == "__main__":
