@@ -186,7 +186,8 @@ def main() -> None:
     for k in sorted(set(diverged[1] + lost[1])):
         print(k, [rows[Drive(number=k, path=p, network=asked.network)] for p in PATHS])
     if asked.robots >= 50:
-        write_section("family", TITLE, "python -m benchmarks.family --network FILE", "\n".join(text))
+        command = "python -m benchmarks.family --network FILE"
+        write_section("family", TITLE, command, "\n".join(text))
 
 
 if __name__ == "__main__":

@@ -362,21 +362,7 @@ def read_record(
     wanted: str,
     command: str,
 ) -> dict[str, Any]:
-    """Read what `described_network` wrote, the robot as one; see `read_metadata`."""
-    record = read_metadata(path, metadata, schema, names, wanted=wanted, command=command)
-    return record | {"robot": robot_of(path, record["robot"])}
-
-
-def read_metadata(
-    path: str | Path,
-    metadata: Mapping[str, str],
-    schema: str,
-    names: Sequence[str],
-    *,
-    wanted: str,
-    command: str,
-) -> dict[str, Any]:
-    """Read what `described_network` wrote.
+    """Read what `described_network` wrote, a robot as one.
 
     Args:
         path: Of the file.
@@ -398,9 +384,12 @@ def read_metadata(
         allowed = f"{wanted} of this version: train it again with `{command}`"
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
-        return {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
+        record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except (ValueError, RecursionError) as error:
         raise InvalidField("path", f"{path} with damaged metadata", wanted) from error
+    if "robot" in record:
+        record["robot"] = robot_of(path, record["robot"])
+    return record
 
 
 def robot_of(path: str | Path, record: Any) -> Robot:

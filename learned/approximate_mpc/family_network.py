@@ -30,7 +30,7 @@ from learned.policy_file import (
     described_network,
     network_model,
     open_network,
-    read_metadata,
+    read_record,
 )
 from learned.policy_network import Layers
 
@@ -88,7 +88,7 @@ class FamilyNetwork:
     def of(cls, path: str | Path, opened: OpenedNetwork) -> FamilyNetwork:
         """Take the network of a file that is open; see `load`."""
         try:
-            record = read_metadata(
+            record = read_record(
                 path, opened.session.get_modelmeta().custom_metadata_map, FAMILY_SCHEMA,
                 [f.name for f in fields(FamilyDescription)],
                 wanted=PLAN_FILE_NAME, command="carosac distill --family",

@@ -130,7 +130,9 @@ def family_settings(robot: Robot) -> MpcSettings:
     That is shorter where the platform moves so fast that a command each 20 ms would be too few.
     """
     usual, fastest = MpcSettings(), fastest_motion(robot)
-    return replace(usual, period=min(usual.period, TURN_MAX / max(fastest, TURN_MAX)))
+    if fastest * usual.period <= TURN_MAX:
+        return usual
+    return replace(usual, period=TURN_MAX / fastest)
 
 
 def check_family(robot: Robot) -> None:
