@@ -121,8 +121,6 @@ class Policy:
         if Path(path).is_dir():
             allowed = f"{POLICY_FILE_NAME}: policy.onnx in the folder of a stage"
             raise InvalidField("path", f"the folder {path}", allowed)
-        if not Path(path).is_file():
-            raise MissingFile(path)
         session = open_network(path, POLICY_FILE_NAME).session
         try:
             sides = {
@@ -328,9 +326,12 @@ def open_network(path: str | Path, name: str) -> OpenedNetwork:
         name: What it should be, in words.
 
     Raises:
+        MissingFile: There is no such file.
         InvalidField: It is none, or no network of `learned.policy_network`.
         MissingExtra: onnxruntime is not installed.
     """
+    if not Path(path).is_file():
+        raise MissingFile(path)
     require("a policy", "onnxruntime")
     import onnxruntime
 

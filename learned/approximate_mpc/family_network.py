@@ -10,7 +10,7 @@ import numpy as np
 from baselines.mpc.geometry import excess_at, geometry_at
 from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidField
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.robot.robot import Robot
@@ -21,9 +21,9 @@ from learned.approximate_mpc.family_robots import (
     check_family,
     family_settings,
 )
-from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron
+from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron, perceptron_of
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs, TensionCallback
-from learned.approximate_mpc.plan_network import INPUT_MAX, PLAN_FILE_NAME
+from learned.approximate_mpc.plan_network import PLAN_FILE_NAME
 from learned.policy_file import (
     OpenedNetwork,
     checked_layers,
@@ -66,9 +66,8 @@ class FamilyNetwork:
 
     tension_share = 1.0
 
-    def __init__(self, opened: OpenedNetwork, description: FamilyDescription) -> None:
-        self.description = description
-        self._tell = Perceptron(opened.layers)
+    def __init__(self, tell: Perceptron, description: FamilyDescription) -> None:
+        self.description, self._tell = description, tell
 
     @classmethod
     def load(cls, path: str | Path) -> FamilyNetwork:
@@ -80,8 +79,6 @@ class FamilyNetwork:
                 of other ranges than this version has.
             MissingExtra: onnxruntime is not installed.
         """
-        if not Path(path).is_file():
-            raise MissingFile(path)
         return cls.of(path, open_network(path, PLAN_FILE_NAME))
 
     @classmethod
@@ -94,22 +91,15 @@ class FamilyNetwork:
                 wanted=PLAN_FILE_NAME, command="carosac distill --family",
             )  # fmt: skip
             check_whole("seed", record["seed"], 0)
-            network = cls(opened, FamilyDescription(**record))
-            network._check(path, opened)
+            description = FamilyDescription(**record)
+            tell = perceptron_of(path, opened, COUNT, CABLES, PLAN_FILE_NAME)
         except MALFORMED as error:
             got = f"{path} with damaged metadata: {error}"
             raise InvalidField("path", got, PLAN_FILE_NAME) from error
-        return network
-
-    def tell(self, numbers: Array) -> Array:
-        """Return what the network tells, shape (4,); see `FamilyNumbers.tension`.
-
-        Raises:
-            InvalidField: A number is not finite, or far from all that a robot does.
-        """
-        if not np.abs(numbers).max() <= INPUT_MAX:
-            raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
-        return self._tell(numbers)
+        if description.ranges != ranges_record():
+            allowed = f"{PLAN_FILE_NAME} of this version: train it again"
+            raise InvalidField("path", f"{path} of other ranges of robots", allowed)
+        return cls(tell, description)
 
     def settings_of(self, robot: Robot) -> MpcSettings:
         """Return the settings of MPC for a robot."""
@@ -133,7 +123,7 @@ class FamilyNetwork:
 
         def plan(inputs: PlanInputs) -> Array:
             numbers = reader.of(inputs)
-            return reader.tension(numbers, self.tell(numbers))
+            return reader.tension(numbers, self._tell(numbers))
 
         return plan
 
@@ -144,21 +134,6 @@ class FamilyNetwork:
             InvalidField: Names the quantity that is outside of its range.
         """
         check_family(robot)
-
-    def _check(self, path: str | Path, opened: OpenedNetwork) -> None:
-        """Refuse a network that does not fit, gives no numbers, or was trained in other ranges."""
-        sizes = (opened.layers[0][0].shape[1], len(opened.layers[-1][1]))
-        if sizes != (COUNT, CABLES):
-            got = f"{path} of {sizes[0]} to {sizes[1]} numbers"
-            raise InvalidField("path", got, f"{COUNT} to {CABLES}")
-        if len(opened.layers) > 1 and opened.activation != ACTIVATION:
-            raise InvalidField("path", f"{path} with {opened.activation}", ACTIVATION)
-        if self.description.ranges != ranges_record():
-            allowed = f"{PLAN_FILE_NAME} of this version: train it again"
-            raise InvalidField("path", f"{path} of other ranges of robots", allowed)
-        for scale in (0.0, 1.0, 1e3):
-            if not np.isfinite(self.tell(np.full(COUNT, scale))).all():
-                raise InvalidField("path", f"{path}, which gives no numbers", PLAN_FILE_NAME)
 
 
 def write_family_network(path: str | Path, layers: Layers, description: FamilyDescription) -> None:

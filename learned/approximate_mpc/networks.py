@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_network import FAMILY_SCHEMA, FamilyNetwork
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork
@@ -25,8 +25,6 @@ def load_network(name_or_path: str) -> PlanNetwork | FamilyNetwork:
         MissingExtra: onnxruntime is not installed.
     """
     path = find_network(name_or_path)
-    if not path.is_file():
-        raise MissingFile(path)
     opened = open_network(path, PLAN_FILE_NAME)
     schema = opened.session.get_modelmeta().custom_metadata_map.get(METADATA_PREFIX + "schema")
     kind = FamilyNetwork if schema == FAMILY_SCHEMA else PlanNetwork

@@ -10,11 +10,11 @@ import numpy as np
 
 from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import MALFORMED, InvalidField, MissingFile
+from carosac_toolkit.base.errors import MALFORMED, InvalidField
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
-from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron
+from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron, perceptron_of
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
@@ -30,7 +30,6 @@ from learned.policy_network import Layers
 
 PLAN_SCHEMA = "carosac-plan/1"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
-INPUT_MAX = 1e6  # of the numbers that it reads
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,18 +76,15 @@ class PlanNetwork:
 
     Attributes:
         description: What it was trained for.
-        layers: Weight (out, in) and bias (out,) of each layer.
         settings: Of MPC, for `PlanFollower`.
         tension_share: The same.
     """
 
-    def __init__(self, opened: OpenedNetwork, description: PlanDescription) -> None:
-        self.description = description
+    def __init__(self, tell: Perceptron, description: PlanDescription) -> None:
+        self.description, self._tell = description, tell
         self.settings = MpcSettings(**description.mpc)
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
-        self.layers, self._activation = opened.layers, opened.activation
-        self._tell = Perceptron(opened.layers)
         middle, half = tension_range(description.robot)
         n = self._n = description.robot.n
         self._middle = np.concatenate([np.broadcast_to(middle, n), np.zeros(n)])
@@ -105,8 +101,6 @@ class PlanNetwork:
             InvalidField: It is no file that `write_plan_network` wrote, or a damaged one.
             MissingExtra: onnxruntime is not installed.
         """
-        if not Path(path).is_file():
-            raise MissingFile(path)
         return cls.of(path, open_network(path, PLAN_FILE_NAME))
 
     @classmethod
@@ -120,12 +114,14 @@ class PlanNetwork:
             )  # fmt: skip
             check_positive("excess_scale", record["excess_scale"], "m")
             check_whole("seed", record["seed"], 0)
-            network = cls(opened, PlanDescription(**record))
-            network._check_sizes(path)
+            description = PlanDescription(**record)
+            robot, stages = description.robot, MpcSettings(**description.mpc).stages
+            count = input_count(robot, stages)
+            tell = perceptron_of(path, opened, count, 2 * robot.n, PLAN_FILE_NAME)
+            return cls(tell, description)
         except MALFORMED as error:
             got = f"{path} with damaged metadata: {error}"
             raise InvalidField("path", got, PLAN_FILE_NAME) from error
-        return network
 
     def plan(self, numbers: Array) -> tuple[Array, Array]:
         """Return tensions [N] within the limits and sag less stretch [m], each (n,).
@@ -136,8 +132,6 @@ class PlanNetwork:
         Raises:
             InvalidField: One of them is not finite, or far from all that a robot does.
         """
-        if not np.abs(numbers).max() <= INPUT_MAX:
-            raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
         told = self._middle + self._half * self._tell(numbers)
         return told[: self._n], told[self._n :]
 
@@ -168,21 +162,6 @@ class PlanNetwork:
                 f"{trained.name!r} as the network was trained for it; or train one with "
                 "`carosac distill`",
             )  # fmt: skip
-
-    def _check_sizes(self, path: str | Path) -> None:
-        """Refuse a network that does not fit, or gives no numbers."""
-        robot = self.description.robot
-        count = input_count(robot, self.settings.stages)
-        sizes = (self.layers[0][0].shape[1], len(self.layers[-1][1]))
-        if sizes != (count, 2 * robot.n):
-            got = f"{path} of {sizes[0]} to {sizes[1]} numbers"
-            raise InvalidField("path", got, f"{count} to {2 * robot.n}")
-        if len(self.layers) > 1 and self._activation != ACTIVATION:
-            raise InvalidField("path", f"{path} with {self._activation}", ACTIVATION)
-        for scale in (0.0, 1.0, 1e3):
-            told = np.concatenate(self.plan(np.full(count, scale)))
-            if not np.isfinite(told).all():
-                raise InvalidField("path", f"{path}, which gives no numbers", PLAN_FILE_NAME)
 
 
 def write_plan_network(path: str | Path, layers: Layers, description: PlanDescription) -> None:
