@@ -6,7 +6,6 @@ do, there and in simulation, and MPC says what it would have done. See `training
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -36,14 +35,16 @@ from learned.approximate_mpc.family_robots import CABLES, draw_robot, family_set
 from learned.approximate_mpc.model_world import answers
 from learned.approximate_mpc.perceptron import Perceptron
 from learned.approximate_mpc.rounds import (
+    CountCallback,
+    ProgressCallback,
     Regression,
+    WriteCallback,
     begin,
-    drive_all,
-    finish,
     is_held_out,
-    note,
+    median_of_ended,
     regress,
     rms,
+    train_rounds,
 )
 from learned.policy_network import Layers
 
@@ -58,7 +59,6 @@ NEARBY = 1
 TABLE_COLUMNS = (
     "round", "robots", "samples", "lost", "drive_error", "trained_error", "held_out_error"
 )  # fmt: skip
-ProgressCallback = Callable[[str, int, int], None]
 World = Literal["model", "simulator"]
 
 
@@ -165,39 +165,29 @@ def distill_family(
         "family": ranges_record(), "seed": seed, "training": asdict(chosen),
         "demonstrations": asdict(DemonstrationSettings()), "mpc": asdict(MpcSettings()),
     })  # fmt: skip
-    path: Path | None = None
-    parts: list[FamilyDrive] = []
-    rounds = len(chosen.robots)
-    for k, (count, world) in enumerate(zip(chosen.robots, chosen.worlds, strict=True)):
-        first = sum(chosen.robots[:k])
-        paths = drive_all(
-            partial(_drive, seed, world, network_file=path), range(first, first + count), folder,
-            workers, partial(report, f"round {k + 1} of {rounds}: robots"),
+
+    def fit(
+        k: int, paths: list[Path], told: CountCallback
+    ) -> tuple[dict[str, float], WriteCallback]:
+        parts = [FamilyDrive.load(each) for each in paths]
+        last = parts[-chosen.robots[k] :]
+        layers, scores = _fit(parts, chosen, k, seed, told)
+        scores |= {
+            "lost": float(sum(bool(part.lost) for part in last)),
+            "drive_error": median_of_ended([part.error for part in last]),
+        }
+        description = FamilyDescription(
+            ranges=ranges_record(), seed=seed, commit=commit_of_code() or "",
+            training={"robots": float(len(parts)), "samples": scores["samples"]},
+            scores={name: value for name, value in scores.items() if np.isfinite(value)},
         )  # fmt: skip
-        parts += [FamilyDrive.load(each) for each in paths]
-        path = folder / f"round-{k + 1}.onnx"
-        if not path.is_file():
-            layers, scores = _fit(
-                parts, chosen, k, seed, partial(report, f"round {k + 1} of {rounds}: updates")
-            )
-            errors = np.array([part.error for part in parts[first:]])
-            ended = errors[np.isfinite(errors)]
-            scores |= {
-                "lost": float(sum(bool(part.lost) for part in parts[first:])),
-                "drive_error": float(np.median(ended)) if len(ended) else float("nan"),
-            }
-            row = {"round": float(k + 1), "robots": float(len(parts))} | scores
-            note(folder, k + 1, TABLE_COLUMNS, row)
-            write_family_network(
-                path, layers,
-                FamilyDescription(
-                    ranges=ranges_record(), seed=seed, commit=commit_of_code() or "",
-                    training={"robots": float(len(parts)), "samples": scores["samples"]},
-                    scores={name: value for name, value in scores.items() if np.isfinite(value)},
-                ),
-            )  # fmt: skip
-    assert path is not None, "there is at least one round"
-    return finish(folder, path)
+        return scores, lambda path: write_family_network(path, layers, description)
+
+    return train_rounds(
+        folder, chosen.robots,
+        lambda k, network: partial(_drive, seed, chosen.worlds[k], network_file=network),
+        fit, columns=TABLE_COLUMNS, drives="robots", workers=workers, report=report,
+    )  # fmt: skip
 
 
 def drive_settings(robot: Robot) -> DemonstrationSettings:
@@ -268,7 +258,7 @@ def _fit(
     settings: FamilySettings,
     number: int,
     seed: int,
-    report: Callable[[int, int], None],
+    report: CountCallback,
 ) -> tuple[Layers, dict[str, float]]:
     """Fit a new network to all answers; return it and its scores, in weights per cable."""
     trained = [part for k, part in enumerate(parts) if not is_held_out(k)]

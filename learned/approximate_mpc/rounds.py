@@ -7,6 +7,7 @@ import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,10 @@ HELD_OUT_EVERY = 12  # one drive of so many is not trained on
 HUBER = 0.1  # of the scale of what is told: larger errors count linearly
 REPORT_EVERY = 500  # updates
 CountCallback = Callable[[int, int], None]
+ProgressCallback = Callable[[str, int, int], None]
+DriveJob = Callable[[int, Path], None]
+"""Writes the file of a drive, by its number; another process must be able to import it."""
+WriteCallback = Callable[[Path], None]
 
 
 def begin(folder: Path, record: Mapping[str, Any]) -> None:
@@ -43,8 +48,51 @@ def begin(folder: Path, record: Mapping[str, Any]) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def drive_all(
-    job: Callable[[int, Path], None],
+def train_rounds(
+    folder: Path,
+    counts: Sequence[int],
+    job: Callable[[int, Path | None], DriveJob],
+    fit: Callable[[int, list[Path], CountCallback], tuple[Mapping[str, float], WriteCallback]],
+    *,
+    columns: Sequence[str],
+    drives: str,
+    workers: int,
+    report: ProgressCallback,
+) -> Path:
+    """Drive and fit, round after round; return the network of the last one.
+
+    Args:
+        folder: Of the training.
+        counts: Drives of each round.
+        job: Gives what drives in a round, with the network of the one before, None in the first.
+        fit: Fits a network to the files of all drives so far; gives its row of the table, beside
+            the round and its drives, and what writes it.
+        columns: Of the table: the round, the drives so far, and those of `fit`.
+        drives: What these are called in reports.
+        workers: Processes that drive.
+        report: Called with what is being done, how much of it is done, and of how much.
+    """
+    network: Path | None = None
+    paths: list[Path] = []
+    for k, count in enumerate(counts):
+        name = f"round {k + 1} of {len(counts)}"
+        paths += _drive_all(
+            job(k, network), range(len(paths), len(paths) + count), folder, workers,
+            partial(report, f"{name}: {drives}"),
+        )  # fmt: skip
+        network = folder / f"round-{k + 1}.onnx"
+        if not network.is_file():
+            row, write = fit(k, paths, partial(report, f"{name}: updates"))
+            _note(folder, k + 1, columns, {"round": k + 1, columns[1]: len(paths)} | dict(row))
+            write(network)
+    assert network is not None, "there is at least one round"
+    with replacing(folder / NETWORK_FILE) as temporary:
+        temporary.write_bytes(network.read_bytes())
+    return folder / NETWORK_FILE
+
+
+def _drive_all(
+    job: DriveJob,
     numbers: range,
     folder: Path,
     workers: int,
@@ -53,7 +101,7 @@ def drive_all(
     """Do a job for each drive whose file is missing; return all files.
 
     Args:
-        job: Writes the file of a number; another process must be able to import it.
+        job: Writes the file of a number.
         numbers: Of the drives.
         folder: Of the training.
         workers: Processes.
@@ -75,6 +123,12 @@ def drive_all(
                 done += 1
                 report(done, len(numbers))
     return list(paths.values())
+
+
+def median_of_ended(errors: Sequence[float]) -> float:
+    """Return the median of the errors of drives that came to their end; NaN: none did."""
+    ended = [error for error in errors if np.isfinite(error)]
+    return float(np.median(ended)) if ended else float("nan")
 
 
 def is_held_out(number: int) -> bool:
@@ -173,7 +227,7 @@ def _spread(numbers: Array, images: Sequence[tuple[Any, Any, Any]]) -> tuple[Arr
     return mean, np.sqrt(np.maximum(square - mean**2, 0.0))
 
 
-def note(folder: Path, number: int, columns: Sequence[str], values: Mapping[str, float]) -> None:
+def _note(folder: Path, number: int, columns: Sequence[str], values: Mapping[str, float]) -> None:
     """Add the row of a round to the table."""
     path = folder / TABLE_FILE
     rows = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
@@ -181,13 +235,6 @@ def note(folder: Path, number: int, columns: Sequence[str], values: Mapping[str,
     rows.append(",".join(f"{values[name]:.6g}" for name in columns))
     with replacing(path) as temporary:
         temporary.write_text("\n".join(rows) + "\n", encoding="utf-8")
-
-
-def finish(folder: Path, network: Path) -> Path:
-    """Keep the network of the last round as that of the training."""
-    with replacing(folder / NETWORK_FILE) as temporary:
-        temporary.write_bytes(network.read_bytes())
-    return folder / NETWORK_FILE
 
 
 def rms(values: Array) -> float:

@@ -8,7 +8,6 @@ on from there; with the same code it ends as if it had not been.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -42,14 +41,16 @@ from learned.approximate_mpc.plan_network import (
     write_plan_network,
 )
 from learned.approximate_mpc.rounds import (
+    CountCallback,
+    ProgressCallback,
     Regression,
+    WriteCallback,
     begin,
-    drive_all,
-    finish,
     is_held_out,
-    note,
+    median_of_ended,
     regress,
     rms,
+    train_rounds,
 )
 from learned.policy_file import record_of
 from learned.policy_network import Layers
@@ -59,7 +60,6 @@ SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies i
 TABLE_COLUMNS = (
     "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N"
 )  # fmt: skip
-ProgressCallback = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,44 +136,32 @@ def distill(
         "robot": record_of(robot), "seed": seed, "training": asdict(chosen),
         "demonstrations": asdict(driven), "mpc": settings_record(teacher),
     })  # fmt: skip
-    path: Path | None = None
-    parts: list[Demonstrations] = []
-    for k, count in enumerate(chosen.drives):
-        first = sum(chosen.drives[:k])
-        paths = drive_all(
-            partial(_drive, robot, driven, teacher, seed, network_file=path),
-            range(first, first + count), folder, workers,
-            partial(report, f"round {k + 1} of {len(chosen.drives)}: drives"),
+
+    def fit(
+        k: int, paths: list[Path], told: CountCallback
+    ) -> tuple[dict[str, float], WriteCallback]:
+        parts = [Demonstrations.load(each) for each in paths]
+        errors = [part.error for part in parts[-chosen.drives[k] :]]
+        found = _fit(robot, teacher.stages, parts, chosen, k, seed, told)
+        scores = found.scores | {
+            "lost": float(np.sum(~np.isfinite(errors))), "drive_error_m": median_of_ended(errors),
+        }  # fmt: skip
+        description = PlanDescription(
+            robot=robot, mpc=settings_record(teacher), excess_scale=found.excess_scale, seed=seed,
+            commit=commit_of_code() or "",
+            training={
+                "drives": float(len(parts)), "samples": found.scores["samples"],
+                "tension_share": chosen.tension_share,
+            },
+            scores=scores,
         )  # fmt: skip
-        parts += [Demonstrations.load(each) for each in paths]
-        path = folder / f"round-{k + 1}.onnx"
-        if not path.is_file():
-            fit = _fit(
-                robot, teacher.stages, parts, chosen, k, seed,
-                partial(report, f"round {k + 1} of {len(chosen.drives)}: updates"),
-            )  # fmt: skip
-            errors = np.array([part.error for part in parts[first:]])
-            ended = errors[np.isfinite(errors)]
-            scores = fit.scores | {
-                "lost": float(len(errors) - len(ended)),
-                "drive_error_m": float(np.median(ended)) if len(ended) else float("nan"),
-            }
-            row = {"round": float(k + 1), "drives": float(len(parts))} | scores
-            note(folder, k + 1, TABLE_COLUMNS, row)
-            write_plan_network(
-                path, fit.layers,
-                PlanDescription(
-                    robot=robot, mpc=settings_record(teacher), excess_scale=fit.excess_scale,
-                    seed=seed, commit=commit_of_code() or "",
-                    training={
-                        "drives": float(len(parts)), "samples": fit.scores["samples"],
-                        "tension_share": chosen.tension_share,
-                    },
-                    scores=scores,
-                ),
-            )  # fmt: skip
-    assert path is not None, "there is at least one round"
-    return finish(folder, path)
+        return scores, lambda path: write_plan_network(path, found.layers, description)
+
+    return train_rounds(
+        folder, chosen.drives,
+        lambda _, network: partial(_drive, robot, driven, teacher, seed, network_file=network),
+        fit, columns=TABLE_COLUMNS, drives="drives", workers=workers, report=report,
+    )  # fmt: skip
 
 
 def _drive(
@@ -215,7 +203,7 @@ def _fit(
     settings: DistillationSettings,
     number: int,
     seed: int,
-    report: Callable[[int, int], None],
+    report: CountCallback,
 ) -> _Fit:
     """Fit a new network to all answers."""
     held = np.concatenate(

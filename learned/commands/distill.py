@@ -40,7 +40,6 @@ from learned.approximate_mpc.training import DistillationSettings, distill
 from learned.commands.status_line import StatusLine
 
 RESULTS_FOLDER = Path("carosac-results") / "distill"
-COUNTS = ("round", "drives", "samples", "lost")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,16 +86,10 @@ def _robot(options: Options) -> CommandResult:
     begun = f"MPC drives {robot.name}, and a network learns from it"
     train = partial(distill, robot, folder, settings=settings)
     path, rows = _trained(options, train, folder, begun, settings.drives)
-    cells = [
-        [
-            *(f"{row[name]:.0f}" for name in ("round", "drives", "samples", "lost")),
-            _number(1e3 * row["drive_error_m"], 1),
-            _number(row["trained_error_N"], 2),
-            _number(row["held_out_error_N"], 2),
-        ]
-        for row in rows
-    ]
-    print(format_table([*COUNTS, "tracking [mm]", "off, trained [N]", "off, held out [N]"], cells))
+    _print_rounds(rows, "drives", [
+        ("tracking [mm]", "drive_error_m", 1e3, 1), ("off, trained [N]", "trained_error_N", 1.0, 2),
+        ("off, held out [N]", "held_out_error_N", 1.0, 2),
+    ])  # fmt: skip
     return _told(
         options, robot.name, path, rows, settings.drives, "tracking: median RMS error of the "
         "round's drives; off: what the network's tensions differ by from those of MPC",
@@ -118,18 +111,10 @@ def _family(options: Options) -> CommandResult:
     begun = f"MPC drives robots of {FAMILY}, each another one, and a network learns from it"
     train = partial(distill_family, folder, settings=settings)
     path, rows = _trained(options, train, folder, begun, settings.robots)
-    cells = [
-        [
-            *(f"{row[name]:.0f}" for name in ("round", "robots", "samples", "lost")),
-            _number(100.0 * row["drive_error"], 2),
-            _number(row["trained_error"], 3),
-            _number(row["held_out_error"], 3),
-        ]
-        for row in rows
-    ]
-    header = ["round", "robots", "samples", "lost", "tracking [%]", "off, trained",
-              "off, held out"]  # fmt: skip
-    print(format_table(header, cells))
+    _print_rounds(rows, "robots", [
+        ("tracking [%]", "drive_error", 100.0, 2), ("off, trained", "trained_error", 1.0, 3),
+        ("off, held out", "held_out_error", 1.0, 3),
+    ])  # fmt: skip
     return _told(
         options, FAMILY, path, rows, settings.robots, "tracking: median RMS error of the round's "
         "simulated drives, over the length of a cable; off: what the network's tensions differ by "
@@ -174,6 +159,21 @@ def _trained(
         status.clear()
     with (folder / TABLE_FILE).open(encoding="utf-8", newline="") as file:
         return path, [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def _print_rounds(
+    rows: list[dict[str, float]], drives: str, errors: list[tuple[str, str, float, int]]
+) -> None:
+    """Print the table of rounds: counts, and errors by header, name, unit and digits."""
+    counts = ["round", drives, "samples", "lost"]
+    cells = [
+        [
+            *(f"{row[name]:.0f}" for name in counts),
+            *(_number(unit * row[name], digits) for _, name, unit, digits in errors),
+        ]
+        for row in rows
+    ]
+    print(format_table([*counts, *(header for header, *_ in errors)], cells))
 
 
 def _told(
