@@ -120,7 +120,7 @@ def outside(robot: Robot) -> str:
         low, high = RANGES[name]
         if not (low <= found[0] and found[1] <= high):
             worst = found[0] if not low <= found[0] else found[1]
-            return f"{name} {worst:.3g}, allowed: {low:g} to {high:g}"
+            return f"{name} {worst:.3g}, beyond {low:g} to {high:g}"
     return ""
 
 
