@@ -34,7 +34,8 @@ from learned.policy_file import (
 )
 from learned.policy_network import Layers
 
-FAMILY_SCHEMA = "carosac-plan-family/1"
+FAMILY_SCHEMA = "carosac-plan-family/2"
+TENSION_SHARE = 0.6  # some robots vibrate along their cables where it is 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +62,10 @@ class FamilyNetwork:
 
     Attributes:
         description: What it was trained for.
-        tension_share: All of the way to new tensions.
+        tension_share: See `PlanFollower`.
     """
 
-    tension_share = 1.0
+    tension_share = TENSION_SHARE
 
     def __init__(self, tell: Perceptron, description: FamilyDescription) -> None:
         self.description, self._tell = description, tell

@@ -1,7 +1,13 @@
 """What a plan depends on, as numbers that mean the same for every robot of the family.
 
-Lengths are in that of a cable, L, times in sqrt(L / g), forces in the weight per cable; what is of
-the platform is in its own size. Cables are numbered, and axes turned, as `layout_of` says.
+Lengths of the robot are in that of a cable, L, its times in sqrt(L / g), forces in the weight per
+cable; what is of the platform is in its own size, and its turning in the time of a pendulum of that
+size. Errors and the way ahead are in g T^2 and g T, where T is the unit of time in which all robots
+have the same weights of MPC, so that plans answer them alike. What a network would have to multiply
+is told as well: accelerations that tensions of rest would give, and of each cable the pull that
+would make an acceleration, and the speed at which its anchor point goes along it.
+
+Cables are numbered, and axes turned, as `layout_of` says.
 """
 
 from __future__ import annotations
@@ -24,6 +30,8 @@ from learned.approximate_mpc.family_robots import CABLES, family_settings, layou
 from learned.approximate_mpc.plan_inputs import PlanInputs
 
 TIMES = MpcSettings().stages + 1  # of a plan
+AHEAD = (0, 2, 4, 6, 8, 10, 13, 16, 20)  # times of a plan for which pulls are told
+TURNING_MAX = 10.0  # of the acceleration at rest, over g and the size of the platform
 CHANGE_MAX = 4.0  # of a tension from that of rest, in the weight per cable: an output of 1
 # Numbers of each block: of vectors, of axial vectors, of cables, of scalars. A mirror image turns
 # each kind in its way.
@@ -44,7 +52,12 @@ BLOCKS = {
     "rest_at_end": ("cables", CABLES),
     "habit": ("cables", CABLES),
     "robot": ("scalars", 11),
+    "free": ("vectors", 3),
+    "turning": ("axial vectors", 3),
+    "pulls": ("cables", (2 * len(AHEAD) + 2) * CABLES),
+    "rates": ("cables", 4 * CABLES),
 }
+UP = np.array([0.0, 0.0, 1.0])
 _EDGES = [0, *accumulate(count for _, count in BLOCKS.values())]
 PLACES: Mapping[str, slice] = {
     name: slice(a, b) for name, (a, b) in zip(BLOCKS, pairwise(_EDGES), strict=True)
@@ -62,10 +75,11 @@ class FamilyNumbers:
         scales, layout = Scales(robot), layout_of(robot)
         self._robot, self._order, self._turn = robot, layout.order, layout.turn
         self._length, self._time, self._tension = scales.length, scales.time, scales.tension
-        self._speed = self._length / self._time
+        self._error = robot.gravity * weight_time**2
+        self._rate = robot.gravity * weight_time
         self._size = float(np.linalg.norm(robot.anchor_points, axis=1).max())
-        self._moment = self._time**2 * self._size / self._length
-        tension, speed = self._tension, self._speed
+        self._moment = self._size / robot.gravity
+        tension, speed = self._tension, self._length / self._time
         shares = (
             self._size / self._length, self._time, chosen.period / self._time,
             chosen.lookahead / self._time, weight_time / self._time,
@@ -90,31 +104,35 @@ class FamilyNumbers:
 
     def of(self, inputs: PlanInputs) -> Array:
         """Return the numbers, shape (COUNT,)."""
-        robot, order, axes, length = self._robot, self._order, self._turn, self._length
+        robot, order, axes = self._robot, self._order, self._turn
         arms = (robot.anchor_points[order] @ inputs.rotation.T) @ axes.T
-        place, velocity = axes @ inputs.position, axes @ inputs.twist[:3]
+        place, velocity = axes @ inputs.position, axes @ inputs.twist[:3] / self._rate
         chord = robot.exit_points[order] @ axes.T - place - arms
         distance = np.linalg.norm(chord, axis=1)
-        turned = axes @ inputs.rotation
+        along, turned = chord / distance[:, None], axes @ inputs.rotation
+        center = turned @ (robot.center_of_mass + inputs.center) / self._size
+        inertia = turned @ self._inertia @ turned.T
         rest = self._rests(inputs) / self._tension
-        wanted = inputs.target_velocity @ axes.T
+        habit = (inputs.usual_tension / self._tension - rest[2])[order]
+        wanted = inputs.target_velocity @ axes.T / self._rate
+        behind = velocity - wanted[0]
+        spin = axes @ inputs.twist[3:] * np.sqrt(self._moment)
+        way, faster = (inputs.target @ axes.T - place) / self._error, wanted - wanted[0]
+        push = axes @ inputs.acceleration[:3] / robot.gravity
+        moment = axes @ inputs.acceleration[3:] * self._moment
+        levers = np.cross(arms / self._size - center, along)
+        base = (rest[0, order] + habit) / CABLES
+        free = base @ along - UP
+        turning = np.linalg.solve(inertia, base @ levers)
+        turning = np.minimum(np.maximum(turning, -TURNING_MAX), TURNING_MAX)
+        pulled = np.vstack([behind, push, way[AHEAD, :], faster[AHEAD[1:], :], free + push])
         numbers: Array = np.concatenate([
-            (chord / distance[:, None]).ravel(),
-            np.log(distance / length),
-            arms.ravel() / self._size,
-            turned @ (robot.center_of_mass + inputs.center) / self._size,
-            (turned @ self._inertia @ turned.T)[_TENSOR],
-            (velocity - wanted[0]) / self._speed,
-            velocity / self._speed,
-            axes @ inputs.twist[3:] * self._time,
-            (inputs.target @ axes.T - place).ravel() / length,
-            (wanted - wanted[0]).ravel() / self._speed,
-            axes @ inputs.acceleration[:3] / robot.gravity,
-            axes @ inputs.acceleration[3:] * self._moment,
-            rest[0, order],
-            rest[1, order],
-            (inputs.usual_tension / self._tension - rest[2])[order],
-            self._shares,
+            along.ravel(), np.log(distance / self._length), arms.ravel() / self._size, center,
+            inertia[_TENSOR], behind, velocity, spin, way.ravel(), faster.ravel(), push, moment,
+            rest[0, order], rest[1, order], habit, self._shares, free, turning,
+            (np.linalg.pinv(along.T) @ pulled.T).ravel(),
+            np.column_stack([levers @ spin, levers @ turning, levers @ moment, along @ behind])
+            .ravel(),
         ])  # fmt: skip
         return numbers
 

@@ -53,6 +53,7 @@ SPREAD_MIN = 1e-3  # of a number: what hardly varies is not blown up
 IMAGES = ((), (0,), (1,), (0, 1))  # axes along which robots are mirrored
 PATH_SPEED, PATH_ACCELERATION = 0.8, 0.6  # of a path, in the limits of winches, and at most
 SPEED_MAX, ACCELERATION_MAX = 0.25, 0.35  # in sqrt(g L), and g
+SPIN_SPREAD, MOMENT_SPREAD = 0.03, 0.01  # in sqrt(g / size of the platform), and its square
 SIMULATED_TIME = 8.0  # of a path at most, in sqrt(L / g)
 ANSWERS = 160  # of a simulated drive, about; each with those nearby
 NEARBY = 1
@@ -76,9 +77,9 @@ class FamilySettings:
         decay: Of weights, decoupled from the gradient.
     """
 
-    robots: tuple[int, ...] = (600, 200, 140, 140)
+    robots: tuple[int, ...] = (600, 300, 150, 150)
     worlds: tuple[World, ...] = ("model", "model", "simulator", "simulator")
-    updates: tuple[int, ...] = (6000, 6000, 6000, 20000)
+    updates: tuple[int, ...] = (8000, 8000, 8000, 40000)
     batch: int = 512
     hidden: tuple[int, ...] = (384, 384, 192)
     rate: float = 1e-3
@@ -198,7 +199,11 @@ def drive_settings(robot: Robot) -> DemonstrationSettings:
         PATH_ACCELERATION * float(robot.acceleration_max.min()), ACCELERATION_MAX * robot.gravity
     )
     found = resolved(DemonstrationSettings(condition="nominal-2", nearby=NEARBY), scales.ratios)
-    return replace(found, speed_max=speed, acceleration_max=acceleration)
+    turning = np.sqrt(robot.gravity / np.linalg.norm(robot.anchor_points, axis=1).max())
+    return replace(
+        found, speed_max=speed, acceleration_max=acceleration,
+        spin_spread=SPIN_SPREAD * turning, moment_spread=MOMENT_SPREAD * turning**2,
+    )  # fmt: skip
 
 
 def _drive(seed: int, world: World, number: int, path: Path, *, network_file: Path | None) -> None:
