@@ -32,7 +32,7 @@ from learned.approximate_mpc.plan_inputs import PlanInputs
 TIMES = MpcSettings().stages + 1  # of a plan
 AHEAD = (0, 2, 4, 6, 8, 10, 13, 16, 20)  # times of a plan for which pulls are told
 TURNING_MAX = 10.0  # of the acceleration at rest, over g and the size of the platform
-CHANGE_MAX = 4.0  # of a tension from that of rest, in the weight per cable: an output of 1
+CHANGE_MAX = 6.0  # of a tension from that of rest, in the weight per cable: an output of 1
 # Numbers of each block: of vectors, of axial vectors, of cables, of scalars. A mirror image turns
 # each kind in its way.
 BLOCKS = {

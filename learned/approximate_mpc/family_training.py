@@ -77,7 +77,7 @@ class FamilySettings:
         decay: Of weights, decoupled from the gradient.
     """
 
-    robots: tuple[int, ...] = (600, 300, 150, 150)
+    robots: tuple[int, ...] = (700, 300, 150, 150)
     worlds: tuple[World, ...] = ("model", "model", "simulator", "simulator")
     updates: tuple[int, ...] = (8000, 8000, 8000, 40000)
     batch: int = 512
