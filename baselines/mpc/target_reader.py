@@ -19,6 +19,7 @@ from carosac_toolkit.robot.robot import Robot
 # From farther away the reference is not chased, but approached.
 CHASE_DISTANCE_MAX = Scaled(0.3, "m")
 APPROACH_SPEED = Scaled(0.7, "m/s")
+WAY_HOME = np.linspace(0.0, 1.0, 21)[1:] ** 2  # where a rest is looked for, if there is none
 
 
 class TargetReader:
@@ -41,15 +42,12 @@ class TargetReader:
     def reset(self) -> None:
         """Forget the tensions of rest."""
         self._where: Array | None = None
-        share = self._robot.weight / self._robot.n
-        middle = np.clip(share, self._robot.tension_min, self._robot.tension_max)
-        self._tension = np.tile(middle, (2, 1))
+        self._tension: Array | None = None
         self.no_rest = 0
 
     def at(self, position: Array) -> Array:
-        """Return tensions of rest at a position (3,), or equal shares of the weight [N], (n,)."""
-        self._rest(np.stack([position, position]))
-        return np.asarray(self._tension[0])
+        """Return tensions of rest at a position (3,), or as `_rest` has them [N], shape (n,)."""
+        return np.asarray(self._rest(np.stack([position, position]))[0])
 
     def read(self, reference: Reference) -> PlanTarget:
         """Interpolate the reference between its rows; hold the last row beyond them."""
@@ -64,9 +62,9 @@ class TargetReader:
             if reference.rotation is not None:
                 nearest = np.abs(when[:, None] - rows).argmin(axis=1)
                 rotation = reference.rotation[0, nearest]
-        self._rest(position[[0, -1]])
+        first, last = self._rest(position[[0, -1]])
         share = (self._grid[:-1] / self._grid[-1])[:, None]
-        tension = (1.0 - share) * self._tension[0] + share * self._tension[1]
+        tension = (1.0 - share) * first + share * last
         return PlanTarget(position=position, velocity=velocity, rotation=rotation, tension=tension)
 
     def nearer(self, target: PlanTarget, position: Array) -> PlanTarget:
@@ -90,10 +88,13 @@ class TargetReader:
         velocity = np.vstack([velocity, velocity[-1:]])
         return replace(target, position=places, velocity=velocity, calm=True)
 
-    def _rest(self, ends: Array) -> None:
-        """Update the tensions of rest at both positions; keep the old ones where there is none."""
-        if self._where is not None and np.array_equal(self._where, ends):
-            return
+    def _rest(self, ends: Array) -> Array:
+        """Return the tensions of rest at both positions [N], shape (2, n).
+
+        Where there is none, these are the last ones, and at first those of `rest_on_the_way_home`.
+        """
+        if self._tension is not None and np.array_equal(self._where, ends):
+            return self._tension
         self._where = ends
         guess = None
         if self._robot.n < 6:
@@ -101,6 +102,22 @@ class TargetReader:
         rest = statics.inverse_kinematics(
             self._robot, ends, guess=guess, distribution=self._distribution
         )
+        before = self._tension
+        if before is None and not rest.converged.all():
+            before = np.array([rest_on_the_way_home(self._robot, end) for end in ends])
         good = rest.converged[:, None]
-        self._tension = np.where(good, rest.tension, self._tension)
+        self._tension = rest.tension if before is None else np.where(good, rest.tension, before)
         self.no_rest += int((~rest.converged).sum())
+        return self._tension
+
+
+def rest_on_the_way_home(robot: Robot, position: Array) -> Array:
+    """Return the tensions (n,) [N] of the rest that is nearest to a position (3,), on the way home.
+
+    Where there is none at all, they are equal shares of the weight.
+    """
+    places = position + WAY_HOME[:, None] * (robot.home_position - position)
+    rest = statics.inverse_kinematics(robot, places)
+    if rest.converged.any():
+        return np.asarray(rest.tension[rest.converged.argmax()])
+    return np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max)

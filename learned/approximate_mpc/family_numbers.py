@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from baselines.mpc.plan_times import settings_for
 from baselines.mpc.settings import MpcSettings
+from baselines.mpc.target_reader import rest_on_the_way_home
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
@@ -94,9 +95,8 @@ class FamilyNumbers:
 
     def reset(self) -> None:
         """Forget the tensions of rest."""
-        robot = self._robot
-        middle = np.clip(self._tension, robot.tension_min, robot.tension_max)
-        self._rest, self._where = np.tile(middle, (3, 1)), np.full((3, 3), np.nan)
+        self._rest: Array | None = None
+        self._where: Array = np.full((3, 3), np.nan)
 
     def count(self, stages: int) -> int:
         """Return how many numbers these are; plans of the family all have as many stages."""
@@ -150,11 +150,15 @@ class FamilyNumbers:
         """Return tensions of rest [N] where the plan begins and ends, and at the usual place."""
         target = inputs.target
         where = np.stack([target[0], target[-1], target[0] + inputs.usual_place])
-        if not np.array_equal(where, self._where):
+        if self._rest is None or not np.array_equal(where, self._where):
             self._where = where
             guess = Pose(position=where, rotation=self._guess)
             rest = statics.inverse_kinematics(self._robot, where, guess=guess)
-            self._rest = np.where(rest.converged[:, None], rest.tension, self._rest)
+            before = self._rest
+            if before is None and not rest.converged.all():
+                before = np.array([rest_on_the_way_home(self._robot, place) for place in where])
+            good = rest.converged[:, None]
+            self._rest = rest.tension if before is None else np.where(good, rest.tension, before)
         return self._rest
 
 

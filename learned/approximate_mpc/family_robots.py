@@ -138,15 +138,18 @@ def family_settings(robot: Robot) -> MpcSettings:
     return replace(usual, period=TURN_MAX / fastest)
 
 
+def not_of_family(robot: Robot) -> str:
+    """Return why a robot is not of the family, or nothing."""
+    return outside(robot) if robot.n == CABLES else f"{robot.n} cables, not {CABLES}"
+
+
 def check_family(robot: Robot) -> None:
     """Refuse a robot that is not of the family.
 
     Raises:
         InvalidField: Names the quantity that is outside of its range.
     """
-    if robot.n != CABLES:
-        raise InvalidField("robot", f"{robot.n} cables", f"{CABLES} for {FAMILY}")
-    reason = outside(robot)
+    reason = not_of_family(robot)
     if reason:
         raise InvalidField("robot", f"{robot.name!r} with {reason}", f"a robot of {FAMILY}")
 

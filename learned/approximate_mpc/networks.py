@@ -7,6 +7,7 @@ from pathlib import Path
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_network import FAMILY_SCHEMA, FamilyNetwork
+from learned.approximate_mpc.family_robots import FAMILY, not_of_family
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork
 from learned.bundled_files import find_bundled, list_bundled
 from learned.policy_file import METADATA_PREFIX, open_network
@@ -34,21 +35,26 @@ def load_network(name_or_path: str) -> PlanNetwork | FamilyNetwork:
 def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
     """Return the bundled network that a robot gets by default, checked.
 
+    That is its own, or else the one of the family, if the robot is of it.
+
     Raises:
-        InvalidField: There is none, or it was trained for another robot of this name.
+        InvalidField: There is none, or its own was trained for another robot of this name.
     """
-    if robot.name not in BUNDLED:
-        allowed = f"a robot with a bundled network, of {sorted(BUNDLED)}"
-        allowed += (
-            ", or a network of its own: `carosac distill`, then --set "
-            "controller.approximate_mpc.policy=FILE"
-            if robot.n < 6
-            else ": use mpc, as robots of six or more cables do not sway"
-        )
-        raise InvalidField("robot", repr(robot.name), allowed)
-    network = load_network(BUNDLED[robot.name])
-    network.check(robot)
-    return network
+    if robot.name in BUNDLED:
+        own = load_network(BUNDLED[robot.name])
+        own.check(robot)
+        return own
+    reason = not_of_family(robot)
+    if not reason:
+        return load_network(FAMILY)
+    allowed = f"one of {sorted(BUNDLED)} or of the family {FAMILY}"
+    allowed += (
+        ", or a network of its own: `carosac distill`, then --set "
+        "controller.approximate_mpc.policy=FILE"
+        if robot.n < 6
+        else ": use mpc, as robots of six or more cables do not sway"
+    )
+    raise InvalidField("robot", f"{robot.name!r} with {reason}", allowed)
 
 
 def list_networks() -> tuple[str, ...]:

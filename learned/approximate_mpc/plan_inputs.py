@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from carosac_toolkit.robot.robot import Robot
 HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlanInputs:
+class PlanInputs(NamedTuple):
     """State, reference and what is known of the load, N stages.
 
     Attributes:

@@ -50,10 +50,10 @@ class Options(DefaultRobotOptions):
     """Train the network of all suspended robots of four cables instead of that of a robot."""
     drives: int | None = None
     """Drives of each of the four rounds: fewer for a first look. By default 80 to 120, about half
-    an hour on two cores; with --family 140 to 600, an hour."""
+    an hour on two cores; with --family 150 to 700, an hour and a half."""
     updates: int | None = None
-    """Updates of the network after the last round; by default 40000, with --family 20000. Earlier
-    rounds take a fifth of what is asked for."""
+    """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth of
+    what is asked for."""
     tension_share: float | None = None
     """Share of the way to new tensions that a command goes, by default 1. Where cables are
     stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up."""

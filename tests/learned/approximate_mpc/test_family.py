@@ -81,8 +81,8 @@ def moved(robot, inputs, turn, order, flip):
         anchor_points=(robot.anchor_points @ flip.T)[order],
         center_of_mass=flip @ robot.center_of_mass, inertia=flip @ robot.inertia @ flip.T,
         home_position=turn @ robot.home_position, home_rotation=body(robot.home_rotation),
-    ), replace(
-        inputs, position=turn @ inputs.position, rotation=body(inputs.rotation),
+    ), inputs._replace(
+        position=turn @ inputs.position, rotation=body(inputs.rotation),
         twist=np.concatenate([turn @ inputs.twist[:3], axial @ inputs.twist[3:]]),
         target=inputs.target @ turn.T, target_velocity=inputs.target_velocity @ turn.T,
         center=flip @ inputs.center,

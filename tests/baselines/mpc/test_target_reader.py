@@ -1,0 +1,45 @@
+"""What MPC reads of a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from baselines.mpc.target_reader import TargetReader
+from carosac_toolkit.physics.rest import statics
+
+GRID = np.array([0.0, 0.5, 1.0])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return ct.load_robot("carosac")
+
+
+def test_tensions_of_rest_are_those_of_the_statics(robot):
+    place = robot.home_position + [0.5, 0.2, 0.3]
+    rest = statics.inverse_kinematics(robot, place[None])
+    assert TargetReader(robot, GRID).at(place) == pytest.approx(rest.tension[0], rel=1e-6)
+
+
+def test_beyond_the_wall_where_there_is_no_rest_tensions_are_those_nearby(robot):
+    """As a platform may start there, and equal shares of the weight would be far from the truth."""
+    place = np.array([robot.workspace_max[0] + 0.3, *robot.home_position[1:]])
+    assert not statics.inverse_kinematics(robot, place[None]).converged[0]
+    inside = place - np.outer(np.linspace(0.0, 1.0, 201), place - robot.home_position)
+    rest = statics.inverse_kinematics(robot, inside)
+    nearest = rest.tension[rest.converged.argmax()]
+    reader = TargetReader(robot, GRID)
+    found = reader.at(place)
+    assert reader.no_rest == 2
+    assert np.abs(found - nearest).max() < 0.1 * robot.weight / robot.n
+    assert found.max() > 3.0 * found.min()  # the near cables carry almost all
+
+
+def test_after_that_the_last_ones_are_kept(robot):
+    reader = TargetReader(robot, GRID)
+    last = reader.at(robot.home_position)
+    assert reader.at(robot.home_position + [0.0, 0.0, 50.0]) == pytest.approx(last)
+    reader.reset()
+    assert reader.no_rest == 0
