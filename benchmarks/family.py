@@ -1,8 +1,9 @@
 """The network `suspended-4` against MPC on robots that it never saw.
 
-Run by hand: ``python -m benchmarks.family --network FILE [--robots N]``; two processes. The
+Run by hand: ``python -m benchmarks.family [--network FILE] [--robots N]``; two processes. The
 bundled robots of the family come first, then drawn ones; each has a plant of nominal-2, and two
-paths in its box: a straight move and a minimum-snap path, as fast as drives of the training.
+paths in its box: a straight move and a minimum-snap path, as fast as drives of the training. MPC
+has the period that the network has, 20 ms or less.
 ``dynamic_estimator`` on lengths and IMU. A ratio is that of RMS tracking over both paths. Runs are
 kept under ``benchmarks/family.parts`` by the content of the network; remove the folder where other
 code has changed.
@@ -35,7 +36,7 @@ from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.studies.run.divergence import divergence
 from carosac_toolkit.trajectories import Trajectory
 from learned.approximate_mpc.demonstrations import CALM_TIME, draw_path, draw_resting
-from learned.approximate_mpc.family_robots import draw_robot
+from learned.approximate_mpc.family_robots import FAMILY, draw_robot, family_settings
 from learned.approximate_mpc.family_training import SIMULATED_TIME, drive_settings
 from learned.approximate_mpc.networks import find_network
 
@@ -81,7 +82,9 @@ def score(drive: Drive) -> dict[str, Any]:
     path, scales = path_of(drive, robot, rng), Scales(robot)
     name = "mpc" if drive.network is None else "approximate_mpc"
     chosen = plugins.load("controllers", name)
-    given = chosen.Settings() if drive.network is None else chosen.Settings(policy=drive.network)
+    given = family_settings(robot)
+    if drive.network is not None:
+        given = chosen.Settings(policy=drive.network)
     condition, kind = find_condition(CONDITION), plugins.load("drivers", "simulator")
     start = path.sample(np.zeros(1)).position[0]
     try:
@@ -131,7 +134,9 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--robots", type=int, default=50)
-    parser.add_argument("--network", required=True, help="ONNX file of `carosac distill --family`")
+    parser.add_argument(
+        "--network", default=FAMILY, help="name, or ONNX file of `carosac distill --family`"
+    )
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     drives = [
@@ -185,9 +190,8 @@ def main() -> None:
     print("diverged:", diverged, "in an error:", lost)
     for k in sorted(set(diverged[1] + lost[1])):
         print(k, [rows[Drive(number=k, path=p, network=asked.network)] for p in PATHS])
-    if asked.robots >= 50:
-        command = "python -m benchmarks.family --network FILE"
-        write_section("family", TITLE, command, "\n".join(text))
+    if asked.robots >= 50 and asked.network == FAMILY:
+        write_section("family", TITLE, "python -m benchmarks.family", "\n".join(text))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ def robot():
 
 
 def test_tensions_of_rest_are_those_of_the_statics(robot):
-    place = robot.home_position + [0.5, 0.2, 0.3]
+    place = robot.home_position + np.array([0.5, 0.2, 0.3])
     rest = statics.inverse_kinematics(robot, place[None])
     assert TargetReader(robot, GRID).at(place) == pytest.approx(rest.tension[0], rel=1e-6)
 
@@ -40,6 +40,6 @@ def test_beyond_the_wall_where_there_is_no_rest_tensions_are_those_nearby(robot)
 def test_after_that_the_last_ones_are_kept(robot):
     reader = TargetReader(robot, GRID)
     last = reader.at(robot.home_position)
-    assert reader.at(robot.home_position + [0.0, 0.0, 50.0]) == pytest.approx(last)
+    assert reader.at(robot.home_position + np.array([0.0, 0.0, 50.0])) == pytest.approx(last)
     reader.reset()
     assert reader.no_rest == 0

@@ -186,7 +186,7 @@ def test_it_is_refused_for_robots_that_it_does_not_know():
         ApproximateMpc.build(replace(ct.load_robot("carosac"), mass=1.0))
     with pytest.raises(InvalidField, match="one of"):
         ApproximateMpc.check_settings(ApproximateMpcSettings(policy="carosac-mcp"))
-    assert list_networks() == ("carosac-mpc", "scampi-mpc")
+    assert list_networks() == ("carosac-mpc", "scampi-mpc", "suspended-4")
 
 
 def test_a_reference_that_ends_too_soon_is_refused():

@@ -23,6 +23,7 @@ from learned.approximate_mpc.family_robots import (
     RANGES,
     RESTING_SHARE,
     draw_robot,
+    family_settings,
     outside,
     quantities,
 )
@@ -33,8 +34,9 @@ from learned.approximate_mpc.family_training import (
     drive_settings,
 )
 from learned.approximate_mpc.model_world import ModelWorld, answers
-from learned.approximate_mpc.networks import load_network
+from learned.approximate_mpc.networks import load_network, network_for
 from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.approximate_mpc.teacher import Teacher
 
 SMALL = FamilySettings(
@@ -172,19 +174,47 @@ def test_mpc_does_in_a_mirror_image_what_it_does_mirrored(drawn, axes):
     assert base_of(mirrored) == pytest.approx(base_of(numbers)[image.cables], abs=1e-6)
 
 
-def test_mpc_follows_a_path_in_its_own_model():
-    robot = ct.load_robot("carosac")
+def followed(robot, plan=None):
+    """Distances from a path in MPC's own model (K,) [m], where `plan`, or MPC, gives tensions."""
     settings, rng = drive_settings(robot), np.random.default_rng(0)
-    teacher = Teacher(robot, MpcSettings())
+    teacher = Teacher(robot, family_settings(robot))
     world = ModelWorld(robot, settings, teacher.settings.period, teacher.grid, rng)
     away = []
     while world.time < world.end:
         inputs = world.look()
         away.append(np.linalg.norm(inputs.position - inputs.target[0]))
-        rest, habit = world.rest(inputs)
-        world.move(teacher.ask(inputs, rest, habit, np.zeros(4), world.time).tension[0])
+        if plan is None:
+            rest, habit = world.rest(inputs)
+            tension = teacher.ask(inputs, rest, habit, np.zeros(4), world.time).tension[0]
+        else:
+            tension = plan(inputs)
+        world.move(tension)
+    return np.array(away)
+
+
+def test_mpc_follows_a_path_in_its_own_model():
+    away = followed(ct.load_robot("carosac"))
     assert away[0] > 0.01  # it starts off the path
-    assert max(away[-20:]) < 0.01
+    assert away[-20:].max() < 0.01
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_bundled_network_follows_as_mpc_does_on_a_robot_it_never_saw(seed):
+    robot = draw_robot(np.random.default_rng([2033, seed]), "unseen")
+    network = network_for(robot)
+    assert isinstance(network, FamilyNetwork)
+    away, other = followed(robot, network.tensions(robot)), followed(robot)
+    assert away[0] == other[0]
+    assert np.sqrt((away**2).mean()) < 1.1 * np.sqrt((other**2).mean())
+
+
+def test_a_robot_gets_its_own_network_or_that_of_the_family():
+    assert isinstance(network_for(ct.load_robot("carosac")), PlanNetwork)
+    assert isinstance(network_for(ct.load_robot("stadium")), FamilyNetwork)
+    with pytest.raises(InvalidField, match=r"exit points off a level rectangle.*carosac distill"):
+        network_for(ct.load_robot("hangprinter"))
+    with pytest.raises(InvalidField, match=r"8 cables, not 4.*use mpc"):
+        network_for(ct.load_robot("cogiro"))
 
 
 def test_answers_are_those_of_the_states_that_are_given():
