@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.lookahead import interpolated
 from baselines.mpc.planner import PlanTarget
@@ -19,7 +20,7 @@ from carosac_toolkit.robot.robot import Robot
 # From farther away the reference is not chased, but approached.
 CHASE_DISTANCE_MAX = Scaled(0.3, "m")
 APPROACH_SPEED = Scaled(0.7, "m/s")
-WAY_HOME = np.linspace(0.0, 1.0, 21)[1:] ** 2  # where a rest is looked for, if there is none
+WAY_HOME = np.linspace(0.0, 1.0, 21)[1:] ** 2  # shares of it at which a rest is looked for
 
 
 class TargetReader:
@@ -46,7 +47,10 @@ class TargetReader:
         self.no_rest = 0
 
     def at(self, position: Array) -> Array:
-        """Return tensions of rest at a position (3,), or as `_rest` has them [N], shape (n,)."""
+        """Return tensions of rest at a position (3,) [N], shape (n,).
+
+        Where there is none, they are as `rests` has them.
+        """
         return np.asarray(self._rest(np.stack([position, position]))[0])
 
     def read(self, reference: Reference) -> PlanTarget:
@@ -89,35 +93,47 @@ class TargetReader:
         return replace(target, position=places, velocity=velocity, calm=True)
 
     def _rest(self, ends: Array) -> Array:
-        """Return the tensions of rest at both positions [N], shape (2, n).
-
-        Where there is none, these are the last ones, and at first those of `rest_on_the_way_home`.
-        """
-        if self._tension is not None and np.array_equal(self._where, ends):
-            return self._tension
-        self._where = ends
-        guess = None
-        if self._robot.n < 6:
-            guess = Pose(position=ends, rotation=np.tile(self._robot.home_rotation, (2, 1, 1)))
-        rest = statics.inverse_kinematics(
-            self._robot, ends, guess=guess, distribution=self._distribution
-        )
-        before = self._tension
-        if before is None and not rest.converged.all():
-            before = np.array([rest_on_the_way_home(self._robot, end) for end in ends])
-        good = rest.converged[:, None]
-        self._tension = rest.tension if before is None else np.where(good, rest.tension, before)
-        self.no_rest += int((~rest.converged).sum())
+        """Return the tensions of rest at both positions [N], shape (2, n)."""
+        if self._tension is None or not np.array_equal(self._where, ends):
+            self._where = ends
+            self._tension, found = rests(self._robot, ends, self._tension, self._distribution)
+            self.no_rest += int((~found).sum())
         return self._tension
 
 
-def rest_on_the_way_home(robot: Robot, position: Array) -> Array:
-    """Return the tensions (n,) [N] of the rest that is nearest to a position (3,), on the way home.
+def rests(
+    robot: Robot, places: Array, last: Array | None,
+    distribution: DistributionName = "least_squares",
+) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+    """Return the tensions of rest at some places [N] (K, n), and where there are any, (K,).
 
-    Where there is none at all, they are equal shares of the weight.
+    Elsewhere they are the last ones. At first there are none: then they are those of the first
+    rest on the way home, and without any equal shares of the weight.
+
+    Args:
+        robot: Of n cables.
+        places: Of the platform in W [m], shape (K, 3).
+        last: The last ones [N], shape (K, n).
+        distribution: Which tensions to choose.
     """
-    places = position + WAY_HOME[:, None] * (robot.home_position - position)
-    rest = statics.inverse_kinematics(robot, places)
+    guess = None
+    if robot.n < 6:
+        guess = Pose(position=places, rotation=np.tile(robot.home_rotation, (len(places), 1, 1)))
+    rest = statics.inverse_kinematics(robot, places, guess=guess, distribution=distribution)
+    tension, found = rest.tension.copy(), rest.converged
+    if last is not None:
+        tension[~found] = last[~found]
+    elif not found.all():
+        missing = np.unique(places[~found], axis=0)
+        homeward = {tuple(place): _on_the_way_home(robot, place, distribution) for place in missing}
+        tension[~found] = [homeward[tuple(place)] for place in places[~found]]
+    return tension, found
+
+
+def _on_the_way_home(robot: Robot, place: Array, distribution: DistributionName) -> Array:
+    """Return the tensions (n,) [N] of the first rest on the way home from a place (3,)."""
+    places = place + WAY_HOME[:, None] * (robot.home_position - place)
+    rest = statics.inverse_kinematics(robot, places, distribution=distribution)
     if rest.converged.any():
         return np.asarray(rest.tension[rest.converged.argmax()])
     return np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max)

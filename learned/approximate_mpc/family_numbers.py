@@ -4,8 +4,10 @@ Lengths of the robot are in that of a cable, L, its times in sqrt(L / g), forces
 cable; what is of the platform is in its own size, and its turning in the time of a pendulum of that
 size. Errors and the way ahead are in g T^2 and g T, where T is the unit of time in which all robots
 have the same weights of MPC, so that plans answer them alike. What a network would have to multiply
-is told as well: accelerations that tensions of rest would give, and of each cable the pull that
-would make an acceleration, and the speed at which its anchor point goes along it.
+is told as well. `free` and `turning` are the accelerations at rest tensions and habit. `pulls` are
+the least tensions in the directions of the cables that add up to an error, a part of the way, an
+acceleration. `rates` are what spin, `turning` and the moment give along each cable by turning about
+the centre of mass, and the velocity error along it.
 
 Cables are numbered, and axes turned, as `layout_of` says.
 """
@@ -21,18 +23,18 @@ from numpy.typing import NDArray
 
 from baselines.mpc.plan_times import settings_for
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.target_reader import rest_on_the_way_home
+from baselines.mpc.target_reader import rests
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.loop.values import Pose
-from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_robots import CABLES, family_settings, layout_of
 from learned.approximate_mpc.plan_inputs import PlanInputs
 
 TIMES = MpcSettings().stages + 1  # of a plan
+# A change of these makes another network of the same file: raise `FAMILY_SCHEMA` with them.
 AHEAD = (0, 2, 4, 6, 8, 10, 13, 16, 20)  # times of a plan for which pulls are told
-TURNING_MAX = 10.0  # of the acceleration at rest, over g and the size of the platform
+TURNING_MAX = 10.0  # of `turning`, over g and the size of the platform: what spins is lost
 CHANGE_MAX = 6.0  # of a tension from that of rest, in the weight per cable: an output of 1
 # Numbers of each block: of vectors, of axial vectors, of cables, of scalars. A mirror image turns
 # each kind in its way.
@@ -90,11 +92,6 @@ class FamilyNumbers:
         )  # fmt: skip
         self._shares = np.array([*np.log(shares), robot.drag * self._time / robot.mass])
         self._inertia = robot.inertia / (robot.mass * self._size**2)
-        self._guess = np.tile(robot.home_rotation, (3, 1, 1))
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the tensions of rest."""
         self._rest: Array | None = None
         self._where: Array = np.full((3, 3), np.nan)
 
@@ -103,12 +100,18 @@ class FamilyNumbers:
         return COUNT
 
     def of(self, inputs: PlanInputs) -> Array:
-        """Return the numbers, shape (COUNT,)."""
+        """Return the numbers, shape (COUNT,).
+
+        Raises:
+            InvalidField: A pose that is not finite.
+        """
         robot, order, axes = self._robot, self._order, self._turn
         arms = (robot.anchor_points[order] @ inputs.rotation.T) @ axes.T
         place, velocity = axes @ inputs.position, axes @ inputs.twist[:3] / self._rate
         chord = robot.exit_points[order] @ axes.T - place - arms
         distance = np.linalg.norm(chord, axis=1)
+        if not np.isfinite(distance).all():
+            raise InvalidField("plan inputs", "a pose that is not finite", "finite numbers")
         along, turned = chord / distance[:, None], axes @ inputs.rotation
         center = turned @ (robot.center_of_mass + inputs.center) / self._size
         inertia = turned @ self._inertia @ turned.T
@@ -152,13 +155,7 @@ class FamilyNumbers:
         where = np.stack([target[0], target[-1], target[0] + inputs.usual_place])
         if self._rest is None or not np.array_equal(where, self._where):
             self._where = where
-            guess = Pose(position=where, rotation=self._guess)
-            rest = statics.inverse_kinematics(self._robot, where, guess=guess)
-            before = self._rest
-            if before is None and not rest.converged.all():
-                before = np.array([rest_on_the_way_home(self._robot, place) for place in where])
-            good = rest.converged[:, None]
-            self._rest = rest.tension if before is None else np.where(good, rest.tension, before)
+            self._rest, _ = rests(self._robot, where, self._rest)
         return self._rest
 
 
