@@ -46,10 +46,10 @@ RANGES = {
 }
 TURN_MAX = 0.3  # of the fastest motion from one command to the next [rad]
 DAMPING = (0.004, 0.05)  # of the stretch, as a share of critical
-# All over so much of the box there is a rest: within these shares of the least and the largest
-# tension, and tilted by 60 degrees at most. The box of `carosac` reaches as far.
+# All over so much of the box there is a rest, with so much of the largest tension and tilted by 60
+# degrees at most. The box of `carosac` reaches as far.
 RESTING_SHARE = 0.95
-HARDEST_REST = 0.99, 0.6
+TENSION_SHARE_MAX = 0.6
 TILT_COSINE_MIN = 0.5
 TRIES_MAX = 2000
 MASS_KG = (0.1, 20.0)  # of a robot of a metre
@@ -100,17 +100,20 @@ def quantities(robot: Robot) -> dict[str, Array]:
     sides = robot.workspace_max - robot.workspace_min
     low = robot.workspace_min[2]
     corners = np.abs(_corners(sides) @ layout.turn.T).max(axis=0)  # the box in turned axes
-    box = np.array([*(corners[:2] / frame[:2]), sides[2] / (robot.exit_points[:, 2].mean() - low)])
-    values = (
-        size, frame[:2].min() / size, frame_off / size, above / size, box.max(),
-        robot.pulley_radius / length, platform / length, arms_off / platform,
-        -center[2] / platform, np.hypot(*center[:2]) / platform, spread / platform**2,
-        tension / robot.axial_stiffness, robot.weight_per_length * length / tension,
-        robot.tension_min / tension, robot.tension_max / tension,
-        robot.speed_max * time / length, robot.acceleration_max / robot.gravity,
-        robot.winch_lag / time, robot.drag * time / robot.mass,
-        fastest_motion(robot),
-    )  # fmt: skip
+    with np.errstate(divide="ignore"):
+        above_low = robot.exit_points[:, 2].mean() - low
+        box = np.array([*(corners[:2] / frame[:2]), sides[2] / above_low])
+    with np.errstate(divide="ignore", invalid="ignore"):  # NaN is in no range
+        off = arms_off / platform, -center[2] / platform, np.hypot(*center[:2]) / platform
+        values = (
+            size, frame[:2].min() / size, frame_off / size, above / size, box.max(),
+            robot.pulley_radius / length, platform / length, *off, spread / platform**2,
+            tension / robot.axial_stiffness, robot.weight_per_length * length / tension,
+            robot.tension_min / tension, robot.tension_max / tension,
+            robot.speed_max * time / length, robot.acceleration_max / robot.gravity,
+            robot.winch_lag / time, robot.drag * time / robot.mass,
+            fastest_motion(robot),
+        )  # fmt: skip
     return {
         name: np.array([np.min(value), np.max(value)])
         for name, value in zip(RANGES, values, strict=True)
@@ -140,7 +143,24 @@ def family_settings(robot: Robot) -> MpcSettings:
 
 def not_of_family(robot: Robot) -> str:
     """Return why a robot is not of the family, or nothing."""
-    return outside(robot) if robot.n == CABLES else f"{robot.n} cables, not {CABLES}"
+    if robot.n != CABLES:
+        return f"{robot.n} cables, not {CABLES}"
+    reason = outside(robot)
+    if not reason and not _rests(robot):
+        tilt = np.degrees(np.arccos(TILT_COSINE_MIN))
+        return (
+            f"a box whose inner {100.0 * RESTING_SHARE:g} % has places of no rest tilted by up to "
+            f"{tilt:.0f} degrees, with up to {100.0 * TENSION_SHARE_MAX:g} % of the largest tension"
+        )
+    return reason
+
+
+def rests_record() -> dict[str, float]:
+    """Return what rests of the family are held to, as JSON holds it."""
+    return {
+        "resting_share": RESTING_SHARE, "tension_share_max": TENSION_SHARE_MAX,
+        "tilt_cosine_min": TILT_COSINE_MIN,
+    }  # fmt: skip
 
 
 def check_family(robot: Robot) -> None:
@@ -158,7 +178,7 @@ def draw_robot(rng: np.random.Generator, name: str) -> Robot:
     """Draw a robot of the family that can rest anywhere in its box but at its very edge."""
     for _ in range(TRIES_MAX):
         robot = _draw(rng, name)
-        if not outside(robot) and _rests(robot):
+        if not not_of_family(robot):
             return robot
     raise CarosacError(f"{FAMILY}: no robot in {TRIES_MAX} tries")
 
@@ -215,16 +235,14 @@ def _draw(rng: np.random.Generator, name: str) -> Robot:
 
 
 def _rests(robot: Robot) -> bool:
-    """Return whether a robot rests all over its box but for its edge, with tensions in limits."""
+    """Return whether a robot rests all over its box but for its edge, as the family does."""
     sides = robot.workspace_max - robot.workspace_min
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
     places = middle + 0.5 * RESTING_SHARE * _corners(sides)
     rest = statics.inverse_kinematics(robot, places)
-    low, high = HARDEST_REST
     return bool(
         (rest.converged & rest.stable).all()
-        and (rest.tension >= low * robot.tension_min).all()
-        and (rest.tension <= high * robot.tension_max).all()
+        and (rest.tension <= TENSION_SHARE_MAX * robot.tension_max).all()
         and (rest.rotation[:, 2, 2] > TILT_COSINE_MIN).all()
     )
 

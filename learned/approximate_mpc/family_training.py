@@ -1,6 +1,6 @@
 """Training of one network for a family of robots: every drive is one of another robot.
 
-MPC drives first, in its own prediction model, where a drive takes a second or two; then networks
+MPC drives first, in its own prediction model, where a drive takes some seconds; then networks
 do, there and in simulation, and MPC says what it would have done. See `training` for the rest.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,13 +25,14 @@ from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.demonstrations import DemonstrationSettings, demonstrate
 from learned.approximate_mpc.family_network import (
+    FAMILY_SCHEMA,
     FamilyDescription,
     FamilyNetwork,
     ranges_record,
     write_family_network,
 )
 from learned.approximate_mpc.family_numbers import CHANGE_MAX, COUNT, FamilyNumbers, mirror
-from learned.approximate_mpc.family_robots import CABLES, draw_robot, family_settings
+from learned.approximate_mpc.family_robots import CABLES, draw_robot, family_settings, rests_record
 from learned.approximate_mpc.model_world import answers
 from learned.approximate_mpc.perceptron import Perceptron
 from learned.approximate_mpc.rounds import (
@@ -56,7 +57,7 @@ SPEED_MAX, ACCELERATION_MAX = 0.25, 0.35  # in sqrt(g L), and g
 SPIN_SPREAD, MOMENT_SPREAD = 0.03, 0.01  # in sqrt(g / size of the platform), and its square
 SIMULATED_TIME = 8.0  # of a path at most, in sqrt(L / g)
 ANSWERS = 160  # of a simulated drive, about; each with those nearby
-NEARBY = 1
+DRIVES = DemonstrationSettings(condition="nominal-2", nearby=1)
 TABLE_COLUMNS = (
     "round", "robots", "samples", "lost", "drive_error", "trained_error", "held_out_error"
 )  # fmt: skip
@@ -163,8 +164,9 @@ def distill_family(
     chosen = settings or FamilySettings()
     check_whole("workers", workers, 1)
     begin(folder, {
-        "family": ranges_record(), "seed": seed, "training": asdict(chosen),
-        "demonstrations": asdict(DemonstrationSettings()), "mpc": asdict(MpcSettings()),
+        "family": ranges_record(), "rests": rests_record(), "seed": seed,
+        "training": asdict(chosen), "demonstrations": drives_record(), "mpc": asdict(MpcSettings()),
+        "schema": FAMILY_SCHEMA, "tension_share": FamilyNetwork.tension_share,
     })  # fmt: skip
 
     def fit(
@@ -191,6 +193,18 @@ def distill_family(
     )  # fmt: skip
 
 
+def drives_record() -> dict[str, Any]:
+    """Return what the drives of all robots have in common as JSON holds it."""
+    usual = asdict(DRIVES)
+    own = ("speed_max", "acceleration_max", "spin_spread", "moment_spread", "every")
+    return {name: value for name, value in usual.items() if name not in own} | {
+        "path_speed": PATH_SPEED, "path_acceleration": PATH_ACCELERATION,
+        "speed_max_over_sqrt_gL": SPEED_MAX, "acceleration_max_over_g": ACCELERATION_MAX,
+        "spin_spread_of_platform": SPIN_SPREAD, "moment_spread_of_platform": MOMENT_SPREAD,
+        "simulated_time": SIMULATED_TIME, "answers": ANSWERS,
+    }  # fmt: skip
+
+
 def drive_settings(robot: Robot) -> DemonstrationSettings:
     """Return the settings of a drive in numbers for a robot of the family."""
     scales = Scales(robot)
@@ -198,7 +212,7 @@ def drive_settings(robot: Robot) -> DemonstrationSettings:
     acceleration = min(
         PATH_ACCELERATION * float(robot.acceleration_max.min()), ACCELERATION_MAX * robot.gravity
     )
-    found = resolved(DemonstrationSettings(condition="nominal-2", nearby=NEARBY), scales.ratios)
+    found = resolved(DRIVES, scales.ratios)
     turning = np.sqrt(robot.gravity / np.linalg.norm(robot.anchor_points, axis=1).max())
     return replace(
         found, speed_max=speed, acceleration_max=acceleration,
