@@ -46,7 +46,7 @@ from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from learned.approximate_mpc.family_network import FamilyNetwork
 from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.networks import load_network, network_for
-from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
@@ -65,7 +65,7 @@ class ApproximateMpcSettings:
 
     Attributes:
         policy: Name of a bundled network, or path of a file that ``carosac distill`` wrote; None
-            takes the bundled one of the robot.
+            takes the bundled one of the robot, or of its family.
     """
 
     policy: str | None = None
@@ -361,7 +361,7 @@ class ApproximateMpc:
             InvalidField: It was trained for others; names what differs.
         """
         network.check(robot)
-        self._plan = network.planner(robot)
+        self._network = network
         settings = network.settings_of(robot)
         self._follower = PlanFollower(
             robot, settings, tension_share=network.tension_share, compiled=settings.compiled
@@ -369,7 +369,7 @@ class ApproximateMpc:
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)
-        self._ready = False
+        self._plan: PlanCallback | None = None
 
     @classmethod
     def build(
@@ -378,7 +378,7 @@ class ApproximateMpc:
         """Load the network; it draws no random numbers, so `seed` has no effect.
 
         Raises:
-            InvalidField: There is no network for this robot, or it was trained for another one.
+            InvalidField: There is no network for this robot, or it was trained for others.
         """
         chosen = settings or ApproximateMpcSettings()
         own = network_for(robot) if chosen.policy is None else load_network(chosen.policy)
@@ -395,7 +395,7 @@ class ApproximateMpc:
         """Refuse a robot for which none is bundled; studies ask before they choose it.
 
         Raises:
-            InvalidField: There is none, or it was trained for another robot of this name.
+            InvalidField: There is none for it or its family.
         """
         network_for(robot)
 
@@ -407,7 +407,7 @@ class ApproximateMpc:
         """
         self._follower.reset(belief)
         self._fallback.reset(self._follower.braked[None])
-        self._ready = True
+        self._plan = self._network.planner(self._follower.robot)
 
     @property
     def fallbacks(self) -> Mapping[str, int]:
@@ -420,7 +420,7 @@ class ApproximateMpc:
         Raises:
             InvalidField: No reset before, or a reference that ends before the horizon.
         """
-        if not self._ready:
+        if self._plan is None:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
         require_rows(reference, self.horizon, self.period)
         inputs, reason = self._follower.look(belief, reference)

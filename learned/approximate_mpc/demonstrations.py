@@ -219,7 +219,8 @@ def nearby(
     turn = Rotation.from_rotvec(settings.turn_spread * rng.standard_normal(3)).as_matrix()
     twist = np.repeat([settings.speed_spread, settings.spin_spread], 3) * rng.standard_normal(6)
     push = np.repeat([settings.push_spread, settings.moment_spread], 3) * rng.standard_normal(6)
-    return inputs._replace(
+    return replace(
+        inputs,
         position=inputs.position + settings.place_spread * rng.standard_normal(3),
         rotation=turn @ inputs.rotation,
         twist=inputs.twist + twist,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
-from learned.approximate_mpc.family_network import FAMILY_SCHEMA, FamilyNetwork
+from learned.approximate_mpc.family_network import FAMILY_KIND, FamilyNetwork
 from learned.approximate_mpc.family_robots import FAMILY, not_of_family
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork
 from learned.bundled_files import find_bundled, list_bundled
@@ -28,23 +28,28 @@ def load_network(name_or_path: str) -> PlanNetwork | FamilyNetwork:
     path = find_network(name_or_path)
     opened = open_network(path, PLAN_FILE_NAME)
     schema = opened.session.get_modelmeta().custom_metadata_map.get(METADATA_PREFIX + "schema")
-    kind = FamilyNetwork if schema == FAMILY_SCHEMA else PlanNetwork
+    kind = FamilyNetwork if str(schema).startswith(FAMILY_KIND) else PlanNetwork
     return kind.of(path, opened)
 
 
 def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
     """Return the bundled network that a robot gets by default, checked.
 
-    That is its own, or else the one of the family, if the robot is of it.
+    That is its own, if one was trained for just this robot, or else the one of the family.
 
     Raises:
-        InvalidField: There is none, or its own was trained for another robot of this name.
+        InvalidField: There is neither.
     """
+    reason = not_of_family(robot)
     if robot.name in BUNDLED:
         own = load_network(BUNDLED[robot.name])
-        own.check(robot)
-        return own
-    reason = not_of_family(robot)
+        try:
+            own.check(robot)
+        except InvalidField:
+            if reason:
+                raise
+        else:
+            return own
     if not reason:
         return load_network(FAMILY)
     allowed = f"one of {sorted(BUNDLED)} or of the family {FAMILY}"

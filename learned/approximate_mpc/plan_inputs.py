@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from carosac_toolkit.robot.robot import Robot
 HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn
 
 
-class PlanInputs(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanInputs:
     """State, reference and what is known of the load, N stages.
 
     Attributes:

@@ -10,10 +10,15 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
+from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.similar import similar_robot
+from carosac_toolkit.safety.settled import settled
+from learned.approximate_mpc.controller import ApproximateMpc
 from learned.approximate_mpc.family_network import (
     FamilyNetwork,
     write_family_network,
@@ -39,11 +44,12 @@ from learned.approximate_mpc.plan_inputs import PlanInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.approximate_mpc.teacher import Teacher
 
+DRIVER = plugins.load("drivers", "simulator")
 SMALL = FamilySettings(
     robots=(3, 1, 1), worlds=("model", "model", "simulator"), updates=(60, 60, 60), batch=64,
     hidden=(16,),
 )  # fmt: skip
-NOT_OF_SIZE = np.delete(np.arange(COUNT), PLACES["robot"].start + np.arange(1, 5))
+NOT_OF_SIZE = np.delete(np.arange(COUNT), PLACES["robot"].start + np.arange(1, 4))
 
 
 def some_inputs(robot, seed=0):
@@ -83,8 +89,8 @@ def moved(robot, inputs, turn, order, flip):
         anchor_points=(robot.anchor_points @ flip.T)[order],
         center_of_mass=flip @ robot.center_of_mass, inertia=flip @ robot.inertia @ flip.T,
         home_position=turn @ robot.home_position, home_rotation=body(robot.home_rotation),
-    ), inputs._replace(
-        position=turn @ inputs.position, rotation=body(inputs.rotation),
+    ), replace(
+        inputs, position=turn @ inputs.position, rotation=body(inputs.rotation),
         twist=np.concatenate([turn @ inputs.twist[:3], axial @ inputs.twist[3:]]),
         target=inputs.target @ turn.T, target_velocity=inputs.target_velocity @ turn.T,
         center=flip @ inputs.center,
@@ -126,9 +132,8 @@ def test_a_drawn_robot_is_of_the_family_and_rests_all_over_its_box(drawn):
     places = middle + share * (drawn.workspace_max - drawn.workspace_min)
     rest = statics.inverse_kinematics(drawn, places)
     assert (rest.converged & rest.stable).all()
-    assert (rest.tension > 0.99 * drawn.tension_min).all() and (
-        rest.tension < drawn.tension_max
-    ).all()
+    assert (rest.tension < 0.61 * drawn.tension_max).all()
+    assert (rest.rotation[:, 2, 2] > 0.49).all()  # some tilt by 60 degrees
 
 
 def test_a_robot_outside_of_the_ranges_is_refused_by_the_quantity():
@@ -137,6 +142,24 @@ def test_a_robot_outside_of_the_ranges_is_refused_by_the_quantity():
     assert "strain at rest" in outside(replace(robot, axial_stiffness=1e-3 * robot.axial_stiffness))
     assert "size of the frame [m] 0.1" in outside(similar_robot(robot, 0.01))
     assert "rectangle" in outside(ct.load_robot("hangprinter"))
+
+
+def test_a_robot_that_cannot_rest_in_its_box_is_refused():
+    robot = ct.load_robot("stadium")
+    aside = np.array([0.6 * np.ptp(robot.exit_points[:, 0]), 0.0, 0.0])
+    beside = replace(
+        robot, home_position=robot.home_position + aside,
+        workspace_min=robot.workspace_min + aside, workspace_max=robot.workspace_max + aside,
+    )  # fmt: skip
+    with pytest.raises(InvalidField, match="places of no rest"):
+        network_for(beside)
+
+
+def test_a_pose_that_is_not_finite_is_refused(drawn):
+    inputs = some_inputs(drawn)
+    lost = replace(inputs, position=np.full(3, np.nan))
+    with pytest.raises(InvalidField, match="not finite"):
+        FamilyNumbers(drawn).of(lost)
 
 
 def test_numbers_mean_the_same_whatever_the_size(drawn):
@@ -208,8 +231,27 @@ def test_the_bundled_network_follows_as_mpc_does_on_a_robot_it_never_saw(seed):
     assert np.sqrt((away**2).mean()) < 1.1 * np.sqrt((other**2).mean())
 
 
+def test_the_bundled_network_drives_a_plant_of_a_robot_it_never_saw():
+    """The whole of it: controller, sensors, estimator and winches, in cables of particles."""
+    robot = ct.load_robot("desktop")
+    controller = ApproximateMpc.build(robot)
+    settings = DRIVER.Settings(suite="lengths+imu", period=controller.period)
+    driver = DRIVER.build(robot, settled(settings, robot), seed=0)
+    estimator = plugins.load("estimators", "dynamic_estimator").build(robot)
+    end = robot.home_position + 0.25 * (robot.workspace_max - robot.home_position)
+    path = trajectories.line(robot.home_position, end, speed_max=0.3, acceleration_max=1.0)
+    logs = [run(driver, estimator, controller, path, duration=1.5) for _ in range(2)]
+    away = np.linalg.norm(logs[0].position - logs[0].reference, axis=2)
+    assert np.sqrt((away**2).mean()) < 0.01 * Scales(robot).length
+    assert not controller.fallbacks
+    assert (logs[0].command == logs[1].command).all()  # a reset forgets all
+
+
 def test_a_robot_gets_its_own_network_or_that_of_the_family():
-    assert isinstance(network_for(ct.load_robot("carosac")), PlanNetwork)
+    carosac = ct.load_robot("carosac")
+    assert isinstance(network_for(carosac), PlanNetwork)
+    identified = replace(carosac, mass=1.02 * carosac.mass)
+    assert isinstance(network_for(identified), FamilyNetwork)
     assert isinstance(network_for(ct.load_robot("stadium")), FamilyNetwork)
     with pytest.raises(InvalidField, match=r"exit points off a level rectangle.*carosac distill"):
         network_for(ct.load_robot("hangprinter"))
@@ -272,7 +314,7 @@ def test_a_network_drives_any_robot_of_the_family_and_no_other(folder, tmp_path)
     layers = [(np.full((4, COUNT), 0.1), np.zeros(4))]
     write_family_network(tmp_path / "other.onnx", layers, other)
     with pytest.raises(InvalidField, match="other ranges"):
-        FamilyNetwork.load(tmp_path / "other.onnx")
+        load_network(str(tmp_path / "other.onnx"))
     layers = [(np.full((4, 7), 0.1), np.zeros(4))]
     write_family_network(tmp_path / "small.onnx", layers, network.description)
     with pytest.raises(InvalidField, match="of 7 to 4 numbers"):
