@@ -50,13 +50,14 @@ class Options(DefaultRobotOptions):
     """Train the network of all suspended robots of four cables instead of that of a robot."""
     drives: int | None = None
     """Drives of each of the four rounds: fewer for a first look. By default 80 to 120, about half
-    an hour on two cores; with --family 150 to 700, an hour and a half."""
+    an hour on two cores. With --family 150 to 700, which takes an hour and a quarter."""
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth of
     what is asked for."""
     tension_share: float | None = None
     """Share of the way to new tensions that a command goes, by default 1. Where cables are
-    stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up."""
+    stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up. Always 0.9 with
+    --family."""
     workers: int | None = None
     """Processes that drive; by default one per core."""
     output: OutputFolder = None
