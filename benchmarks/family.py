@@ -1,12 +1,12 @@
 """The network `suspended-4` against MPC on robots that it never saw.
 
 Run by hand: ``python -m benchmarks.family [--network FILE] [--robots N]``; two processes. The
-bundled robots of the family come first, then drawn ones; each has a plant of nominal-2, and two
-paths in its box: a straight move and a minimum-snap path, as fast as drives of the training. MPC
-has the period that the network has, 20 ms or less.
-``dynamic_estimator`` on lengths and IMU. A ratio is that of RMS tracking over both paths. Runs are
-kept under ``benchmarks/family.parts`` by the content of the network; remove the folder where other
-code has changed.
+bundled robots of the family come first, then drawn ones; each has a plant of nominal-2, sensors of
+lengths and IMU, the ``dynamic_estimator``, and two paths in its box: a straight move and a
+minimum-snap path, as fast as drives of the training. MPC has the period that the network has, 20 ms
+or less. A ratio is that of RMS tracking over both paths. Runs are kept under
+``benchmarks/family.parts`` by the content of the network; remove the folder where other code has
+changed.
 """
 
 from __future__ import annotations
@@ -169,7 +169,8 @@ def main() -> None:
     ]  # fmt: skip
     worst = sorted(ratios, key=lambda k: -ratios[k][0])[:5]
     text = [
-        f"{asked.robots} robots that the network never saw, {len(PATHS)} paths each; plants of "
+        f"{len(NAMED)} bundled robots and {asked.robots - len(NAMED)} drawn ones, none of which "
+        f"the network saw, {len(PATHS)} paths each; plants of "
         f"{CONDITION}, `{ESTIMATOR}` on lengths and IMU.",
         "", table(["what", "bar", "measured"], [
             ["tracking over MPC's, median", "1.2", f"{np.median(values):.2f}"],

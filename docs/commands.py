@@ -76,8 +76,6 @@ UNCERTAIN = (
     "carosac validate poses.csv --robot carosac --models kinematic_solver --output before",
     "carosac compare --robot my-robot.yaml --controllers mpc approximate_mpc --set "
     "controller.approximate_mpc.policy=carosac-results/distill/my-robot-seed0/network.onnx",
-    "carosac compare --robot stadium --controllers mpc approximate_mpc --set "
-    "controller.approximate_mpc.policy=carosac-results/distill/suspended-4-seed0/network.onnx",
 )
 
 # Seconds that one of a name takes (others about 4), to share them out among jobs.
