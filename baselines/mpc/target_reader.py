@@ -42,7 +42,7 @@ class TargetReader:
 
     def reset(self) -> None:
         """Forget the tensions of rest."""
-        self._where: Array | None = None
+        self._where: Array = np.full((2, 3), np.nan)
         self._tension: Array | None = None
         self.no_rest = 0
 
@@ -136,4 +136,4 @@ def _on_the_way_home(robot: Robot, place: Array, distribution: DistributionName)
     rest = statics.inverse_kinematics(robot, places, distribution=distribution)
     if rest.converged.any():
         return np.asarray(rest.tension[rest.converged.argmax()])
-    return np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max)
+    return np.asarray(np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max))
