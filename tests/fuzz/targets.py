@@ -28,7 +28,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import read_cases, read_rows
 from carosac_toolkit.studies.run.folder import MANIFEST_FILE, opened
 from carosac_toolkit.studies.run.rows import make_row
-from learned.approximate_mpc.plan_network import PlanNetwork
+from learned.approximate_mpc.networks import load_network
 from learned.learning_curve import CURVE_COLUMNS, Episode, read_curve, read_episodes, write_curve
 from learned.policy_file import Policy
 from learned.rewards import RewardSettings
@@ -329,7 +329,7 @@ def targets() -> tuple[Target, ...]:
         Target("motor angles", "angles.csv", lambda: [ANGLES_CSV], load_motor_angles),
         Target("policy", "policy.onnx", _policies, Policy.load,
                (*MUTATORS_OF_BYTES, _policy_changed), weight=0.3),
-        Target("plan network", "network.onnx", _plans, PlanNetwork.load,
+        Target("plan network", "network.onnx", _plans, lambda path: load_network(str(path)),
                (*MUTATORS_OF_BYTES, _policy_changed), weight=0.3),
         Target("checkpoint", "checkpoint.safetensors",
                lambda: [written(_checkpoint, "checkpoint.safetensors")], _read_checkpoint,
