@@ -124,16 +124,16 @@ def rests(
     if last is not None:
         tension[~found] = last[~found]
     elif not found.all():
-        missing = np.unique(places[~found], axis=0)
-        homeward = {tuple(place): _on_the_way_home(robot, place, distribution) for place in missing}
-        tension[~found] = [homeward[tuple(place)] for place in places[~found]]
+        tension[~found] = _on_the_way_home(robot, places[~found], distribution)
     return tension, found
 
 
-def _on_the_way_home(robot: Robot, place: Array, distribution: DistributionName) -> Array:
-    """Return the tensions (n,) [N] of the first rest on the way home from a place (3,)."""
-    places = place + WAY_HOME[:, None] * (robot.home_position - place)
-    rest = statics.inverse_kinematics(robot, places, distribution=distribution)
-    if rest.converged.any():
-        return np.asarray(rest.tension[rest.converged.argmax()])
-    return np.asarray(np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max))
+def _on_the_way_home(robot: Robot, places: Array, distribution: DistributionName) -> Array:
+    """Return the tensions (K, n) [N] of the first rest on the way home from places (K, 3)."""
+    way = places[:, None] + WAY_HOME[:, None] * (robot.home_position - places)[:, None]
+    rest = statics.inverse_kinematics(robot, way.reshape(-1, 3), distribution=distribution)
+    found = rest.converged.reshape(way.shape[:2])
+    tension = rest.tension.reshape(*way.shape[:2], robot.n)
+    first = tension[np.arange(len(places)), found.argmax(axis=1)]
+    equal = np.clip(robot.weight / robot.n, robot.tension_min, robot.tension_max)
+    return np.asarray(np.where(found.any(axis=1, keepdims=True), first, equal))
