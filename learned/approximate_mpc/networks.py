@@ -40,18 +40,20 @@ def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
     Raises:
         InvalidField: There is neither.
     """
-    reason = not_of_family(robot)
+    refused: InvalidField | None = None
     if robot.name in BUNDLED:
         own = load_network(BUNDLED[robot.name])
         try:
             own.check(robot)
-        except InvalidField:
-            if reason:
-                raise
+        except InvalidField as differs:
+            refused = differs
         else:
             return own
+    reason = not_of_family(robot)
     if not reason:
         return load_network(FAMILY)
+    if refused is not None:
+        raise refused
     allowed = f"one of {sorted(BUNDLED)} or of the family {FAMILY}"
     allowed += (
         ", or a network of its own: `carosac distill`, then --set "
