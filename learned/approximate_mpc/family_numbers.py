@@ -78,8 +78,8 @@ class FamilyNumbers:
         scales, layout = Scales(robot), layout_of(robot)
         self._robot, self._order, self._turn = robot, layout.order, layout.turn
         self._length, self._time, self._tension = scales.length, scales.time, scales.tension
-        self._error = robot.gravity * weight_time**2
-        self._rate = robot.gravity * weight_time
+        self._error_unit = robot.gravity * weight_time**2
+        self._speed_unit = robot.gravity * weight_time
         self._size = float(np.linalg.norm(robot.anchor_points, axis=1).max())
         self._moment = self._size / robot.gravity
         tension, speed = self._tension, self._length / self._time
@@ -107,7 +107,7 @@ class FamilyNumbers:
         """
         robot, order, axes = self._robot, self._order, self._turn
         arms = (robot.anchor_points[order] @ inputs.rotation.T) @ axes.T
-        place, velocity = axes @ inputs.position, axes @ inputs.twist[:3] / self._rate
+        place, velocity = axes @ inputs.position, axes @ inputs.twist[:3] / self._speed_unit
         chord = robot.exit_points[order] @ axes.T - place - arms
         distance = np.linalg.norm(chord, axis=1)
         if not np.isfinite(distance).all():
@@ -117,10 +117,10 @@ class FamilyNumbers:
         inertia = turned @ self._inertia @ turned.T
         rest = self._rests(inputs) / self._tension
         habit = (inputs.usual_tension / self._tension - rest[2])[order]
-        wanted = inputs.target_velocity @ axes.T / self._rate
+        wanted = inputs.target_velocity @ axes.T / self._speed_unit
         behind = velocity - wanted[0]
         spin = axes @ inputs.twist[3:] * np.sqrt(self._moment)
-        way, faster = (inputs.target @ axes.T - place) / self._error, wanted - wanted[0]
+        way, faster = (inputs.target @ axes.T - place) / self._error_unit, wanted - wanted[0]
         push = axes @ inputs.acceleration[:3] / robot.gravity
         moment = axes @ inputs.acceleration[3:] * self._moment
         levers = np.cross(arms / self._size - center, along)

@@ -100,10 +100,9 @@ def quantities(robot: Robot) -> dict[str, Array]:
     sides = robot.workspace_max - robot.workspace_min
     low = robot.workspace_min[2]
     corners = np.abs(_corners(sides) @ layout.turn.T).max(axis=0)  # the box in turned axes
-    with np.errstate(divide="ignore"):
-        above_low = robot.exit_points[:, 2].mean() - low
-        box = np.array([*(corners[:2] / frame[:2]), sides[2] / above_low])
+    above_low = robot.exit_points[:, 2].mean() - low
     with np.errstate(divide="ignore", invalid="ignore"):  # NaN is in no range
+        box = np.array([*(corners[:2] / frame[:2]), sides[2] / above_low])
         off = arms_off / platform, -center[2] / platform, np.hypot(*center[:2]) / platform
         values = (
             size, frame[:2].min() / size, frame_off / size, above / size, box.max(),
