@@ -37,14 +37,14 @@ from carosac_toolkit.studies.run.divergence import divergence
 from carosac_toolkit.trajectories import Trajectory
 from learned.approximate_mpc.demonstrations import CALM_TIME, draw_path, draw_resting
 from learned.approximate_mpc.family_robots import FAMILY, draw_robot, family_settings
-from learned.approximate_mpc.family_training import SIMULATED_TIME, drive_settings
+from learned.approximate_mpc.family_training import DRIVES, SIMULATED_TIME, drive_settings
 from learned.approximate_mpc.networks import find_network
 
 KEPT = Path(__file__).parent / "family.parts"
 TITLE = "One network for a family of robots"
 NAMED = ("carosac", "scampi", "stadium", "desktop")
 PATHS = ("move", "minimum snap")
-CONDITION, SUITE, ESTIMATOR = "nominal-2", "lengths+imu", "dynamic_estimator"
+CONDITION, SUITE, ESTIMATOR = DRIVES.condition, DRIVES.suite, DRIVES.estimator
 SEED = 2032  # of the drawn robots: not one of a training
 
 
