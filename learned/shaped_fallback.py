@@ -5,6 +5,9 @@ cut short, nothing is known of what a policy does. There the controller `input_s
 it follows from the reference alone, so no wrong belief drives it. It first hears of the reference
 of the last seconds, as if it had commanded all along, and lengths and their rates fade from one to
 the other. A robot whose sway cannot be shaped gets the `kinematic_solver` instead.
+
+A policy that lets the platform bounce would often do so again: each time it has, it waits twice as
+long before it takes over.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ CALM_TIME = Scaled(1.0, "s")  # within what was trained, before the policy takes
 PAST_TIME = Scaled(1.5, "s")  # of the reference that input shaping hears of when it takes over
 PAST_CALLS = 10  # in which it does, each as long as a command
 OUTSIDE, FAR = "target outside the box", "far from the reference"
+BOUNCING = "bouncing on its cables"
 CALMING = "calming down"
 
 
@@ -43,6 +47,7 @@ class _Row:
         shaped: Whether it commands, and not the policy.
         passed: Since the last change [s].
         calm: For how long the policy could have commanded [s].
+        wait: How long that must be before it does [s].
         before: Lengths of the last cycle by who commands now, without the fade [m], shape (n,).
         apart: Of lengths and rates, before less after the change [m, m/s], shape (2, n).
     """
@@ -51,6 +56,7 @@ class _Row:
     shaped: bool = False
     passed: float = np.inf
     calm: float = 0.0
+    wait: float
     before: Array | None = None
     apart: Array | None = field(default=None, repr=False)
 
@@ -86,7 +92,7 @@ class ShapedFallback:
         self.counts: Counter[str] = Counter()
         self._past.clear()
         self._spare += [row.shaper for row in self._rows if row.shaper is not None]
-        self._rows = [_Row() for _ in length]
+        self._rows = [_Row(wait=self._calm) for _ in length]
         self._sent = np.array([length, length])  # the last two commands
         self._asked = np.array(length)  # by the policies, a cycle ago
 
@@ -106,8 +112,9 @@ class ShapedFallback:
             row.passed += self._period
             row.calm = 0.0 if k in reasons else row.calm + self._period
             if k in reasons and not row.shaped:
+                row.wait *= 2.0 if reasons[k] == BOUNCING else 1.0
                 self._take_over(k, belief)
-            elif row.shaped and row.calm > self._calm:
+            elif row.shaped and row.calm > row.wait:
                 row.shaped, row.apart = False, None
                 row.passed = np.inf if self._continues else 0.0
                 row.before = self._asked[k]

@@ -50,9 +50,10 @@ from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
-from learned.shaped_fallback import FAR, OUTSIDE, ShapedFallback
+from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
+BOUNCE_MAX = 1.0  # energy of a bounce, over that of the usual stretch: with more, cables go slack
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
 NO_TURN = np.zeros(3)  # of a state about the believed rotation
@@ -77,6 +78,8 @@ class PlanFollower:
     Attributes:
         period: Time between two commands [s].
         horizon: How far ahead the reference must reach [s].
+        bounce: Energy of the platform's motion against the winches, over what the cables hold by
+            their usual stretch.
     """
 
     def __init__(
@@ -175,13 +178,16 @@ class PlanFollower:
         state = self._state = np.concatenate([position, NO_TURN, twist])
         self._base = rotation
         predicted = twist if self._after is None else self._after[0][6:]
+        target = self._target(reference, position, rotation, float(belief.time[0]))
+        if self._usual_place is None:
+            self._usual_place = target.position[0]
+            self._usual_tension = self._targets.at(target.position[0])
         seen = self._motion.look(
             state, predicted, self._offsets,
             sent=self._winches.length - self._excess.value - self._wrapped,
-            rate=self._winches.rate,
+            rate=self._winches.rate, usual=self._usual_tension,
         )  # fmt: skip
-        self._free = seen.free
-        target = self._target(reference, position, rotation, float(belief.time[0]))
+        self._free, self.bounce = seen.free, seen.bounce
         reason = self._reason(float(np.abs(seen.apart).max()), target.position[0], position)
         if not reason:
             self._offsets.take(*seen.offset)
@@ -190,9 +196,6 @@ class PlanFollower:
             self._state, rotation = seen.state, seen.rotation
             parameters[self._blocks["disturbance"]] = self._acceleration
             position, twist = seen.state[:3], seen.state[6:]
-        if self._usual_place is None:
-            self._usual_place = target.position[0]
-            self._usual_tension = self._targets.at(target.position[0])
         inputs = PlanInputs(
             position=position,
             rotation=rotation,
@@ -344,8 +347,9 @@ def check_cables(robot: Robot) -> None:
 class ApproximateMpc:
     """What `Mpc` would do, as a network has learned it.
 
-    Outside the box, far from the reference, or where the belief and the lengths sent do not agree,
-    input shaping commands, and `fallbacks` counts it.
+    Outside the box, far from the reference, where the belief and the lengths sent do not agree, or
+    where the platform bounces so that cables go slack, input shaping commands, and `fallbacks`
+    counts it.
 
     Attributes:
         period: Time between two commands [s].
@@ -424,6 +428,8 @@ class ApproximateMpc:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
         require_rows(reference, self.horizon, self.period)
         inputs, reason = self._follower.look(belief, reference)
+        if not reason and self._follower.bounce > BOUNCE_MAX:
+            reason = BOUNCING
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)
         idle = bool(reason) or bool(self._fallback.active[0])

@@ -35,6 +35,8 @@ class Seen(NamedTuple):
         innovation: What the twist has beyond its prediction, in the ways that the cables leave
             free, shape (6,).
         apart: What lengths sent and believed differ by, beside the offsets [m], shape (n,).
+        bounce: Energy of the platform's motion against the winches, over what cables of usual
+            tensions hold by their stretch.
         offset: Offsets, slack and bounds of the offsets thereafter [m], shape (3, n).
         state: The nearest one whose cables have the lengths and rates that were sent, shape (12,).
         rotation: Its rotation, shape (3, 3).
@@ -43,6 +45,7 @@ class Seen(NamedTuple):
     free: Array
     innovation: Array
     apart: Array
+    bounce: float
     offset: Array
     state: Array
     rotation: Array
@@ -97,7 +100,7 @@ class FastMotion:
         """
         n = self._n = robot.n
         motion = model.continuous(n)
-        self._before = _Packed(*_before(motion, n, offsets), compiled)
+        self._before = _Packed(*_before(motion, robot, offsets), compiled)
         self._after = _Packed(*_after(motion, robot, period, jerk_max, excess), compiled)
         self.parameters = np.zeros(motion.size1_in(2))
 
@@ -109,6 +112,7 @@ class FastMotion:
         *,
         sent: Array,
         rate: Array,
+        usual: Array,
     ) -> Seen:
         """Return what a belief tells.
 
@@ -118,15 +122,16 @@ class FastMotion:
             offsets: As they are now.
             sent: Lengths that the winches have, straight and free but for offsets [m], shape (n,).
             rate: Of the winches [m/s], shape (n,).
+            usual: Tensions [N], shape (n,).
         """
         n = self._n
         told = self._before(
-            state, self.parameters, predicted, offsets.offset, offsets.most, sent, rate
+            state, self.parameters, predicted, offsets.offset, offsets.most, sent, rate, usual
         )
         return Seen(
             free=told[:n], innovation=told[n : n + 6], apart=told[n + 6 : 2 * n + 6],
-            offset=told[2 * n + 6 : 5 * n + 6].reshape(3, n), state=told[5 * n + 6 : 5 * n + 18],
-            rotation=told[5 * n + 18 :].reshape(3, 3),
+            bounce=float(told[2 * n + 6]), offset=told[2 * n + 7 : 5 * n + 7].reshape(3, n),
+            state=told[5 * n + 7 : 5 * n + 19], rotation=told[5 * n + 19 :].reshape(3, 3),
         )  # fmt: skip
 
     def advance(
@@ -159,14 +164,18 @@ Expressions = tuple[str, list[Any], list[Any]]
 """Name, inputs and outputs of a function."""
 
 
-def _before(motion: Any, n: int, offsets: LengthOffsets) -> Expressions:
+def _before(motion: Any, robot: Robot, offsets: LengthOffsets) -> Expressions:
     """Return what comes before the network."""
     import casadi as ca
 
-    do = expressions()
+    do, n = expressions(), robot.n
     x, p, twist = (ca.SX.sym("s", size) for size in (model.STATE_SIZE, motion.size1_in(2), 6))
-    offset, most, sent, rate = (ca.SX.sym("s", n) for _ in range(4))
-    lengths, jacobian, along = _cables(ca, motion, x, p, n)
+    offset, most, sent, rate, usual = (ca.SX.sym("s", n) for _ in range(5))
+    lengths, jacobian, pulled = _cables(ca, motion, x, p, n)
+    along = _least_energy(ca, jacobian, pulled)
+    away = jacobian @ x[6:] - rate
+    softness = (lengths + ca.DM(robot.run_length)) / ca.DM(robot.axial_stiffness)
+    bounce = ca.dot(away, ca.solve(jacobian @ pulled, away)) / ca.dot(softness, usual**2)
     innovation = x[6:] - twist
     missing = sent - lengths
     apart = missing - do.within(offset, -most, most)
@@ -177,14 +186,15 @@ def _before(motion: Any, n: int, offsets: LengthOffsets) -> Expressions:
         step = along @ error
         moved = ca.vertcat(moved[:3] + step[:3], moved[3:6] + step[3:] / 4, moved[6:])
     _, there, pulled = _cables(ca, motion, moved, p, n)
-    moved = ca.vertcat(moved[:6], moved[6:] + pulled @ (rate - there @ moved[6:]))
+    missed = _least_energy(ca, there, pulled) @ (rate - there @ moved[6:])
+    moved = ca.vertcat(moved[:6], moved[6:] + missed)
     base = p[model.parameter_rows(n)["rotation"]]
     turned = ca.vec(model.rotation_expression(ca, moved[3:6], base).T)  # row by row
     innovation = innovation - along @ (jacobian @ innovation)
     return (
         "before",
-        [x, p, twist, offset, most, sent, rate],
-        [lengths, innovation, apart, *learned, moved, turned],
+        [x, p, twist, offset, most, sent, rate, usual],
+        [lengths, innovation, apart, bounce, *learned, moved, turned],
     )
 
 
@@ -216,10 +226,7 @@ def _after(
 
 
 def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any]:
-    """Return lengths (n,), their Jacobian by the twist (n, 6), and the motion of least energy.
-
-    The latter (6, n) per length, as `constrained_motion` has it.
-    """
+    """Return lengths (n,), their Jacobian by the twist (n, 6), accelerations per pull (6, n)."""
     path = motion(x, ca.SX.zeros(n), p)[3]
     jacobian = ca.jacobian(path[n : 2 * n], x[6:])
     block = {name: p[rows] for name, rows in model.parameter_rows(n).items()}
@@ -231,8 +238,12 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
         force, moment = jacobian[i, :3].T, jacobian[i, 3:].T
         spin = inverse @ (moment - ca.cross(center, force))
         columns.append(ca.vertcat(force / block["mass"] - ca.cross(spin, center), spin))
-    pulled = ca.horzcat(*columns)
-    return path[:n], jacobian, ca.solve(jacobian @ pulled, pulled.T).T
+    return path[:n], jacobian, ca.horzcat(*columns)
+
+
+def _least_energy(ca: Any, jacobian: Any, pulled: Any) -> Any:
+    """Return the motion of least energy (6, n) per length, as `constrained_motion` has it."""
+    return ca.solve(jacobian @ pulled, pulled.T).T
 
 
 class _Packed:

@@ -99,6 +99,29 @@ def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
     assert np.abs(acceleration).max() < 3.0  # nothing jumps, though the belief does
 
 
+def test_a_platform_that_bounces_is_handed_over_for_longer_each_time():
+    """At 0.5 m/s the platform has more energy than its cables; what a winch lets out has none."""
+    robot = ct.load_robot("carosac")
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    controller = ApproximateMpc.build(robot)
+    calm = Belief(
+        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
+    )
+    controller.reset(calm)
+    bouncing = replace(calm, twist=np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
+    waited = []
+    for k in range(420):
+        seen = replace(bouncing if k in (20, 180) else calm, time=np.array([k * controller.period]))
+        before = sum(controller.fallbacks.values())
+        controller.command(seen, still(controller, robot.home_position, k))
+        if k in (20, 180):
+            waited.append(0)
+        elif waited:
+            waited[-1] += sum(controller.fallbacks.values()) - before
+    assert controller.fallbacks["bouncing on its cables"] == 2
+    assert waited == pytest.approx([2.0 / controller.period, 4.0 / controller.period], abs=2)
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.5])
 def test_commands_keep_the_limits_of_the_winches_where_control_changes_hands(speed):
     """The belief jumps for a moment while the platform moves; the lengths sent do not."""
