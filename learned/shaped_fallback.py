@@ -112,7 +112,8 @@ class ShapedFallback:
             row.passed += self._period
             row.calm = 0.0 if k in reasons else row.calm + self._period
             if k in reasons and not row.shaped:
-                row.wait *= 2.0 if reasons[k] == BOUNCING else 1.0
+                if reasons[k] == BOUNCING:
+                    row.wait *= 2.0
                 self._take_over(k, belief)
             elif row.shaped and row.calm > row.wait:
                 row.shaped, row.apart = False, None

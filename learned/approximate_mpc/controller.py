@@ -78,8 +78,8 @@ class PlanFollower:
     Attributes:
         period: Time between two commands [s].
         horizon: How far ahead the reference must reach [s].
-        bounce: Energy of the platform's motion against the winches, over what the cables hold by
-            their usual stretch.
+        bounce: Energy of the platform's motion against the winches, over the energy that cables of
+            the usual tensions hold by their stretch.
     """
 
     def __init__(
@@ -428,7 +428,7 @@ class ApproximateMpc:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
         require_rows(reference, self.horizon, self.period)
         inputs, reason = self._follower.look(belief, reference)
-        if not reason and self._follower.bounce > BOUNCE_MAX:
+        if not reason and self._follower.bounce > BOUNCE_MAX:  # a training would go on and learn
             reason = BOUNCING
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)

@@ -35,8 +35,8 @@ class Seen(NamedTuple):
         innovation: What the twist has beyond its prediction, in the ways that the cables leave
             free, shape (6,).
         apart: What lengths sent and believed differ by, beside the offsets [m], shape (n,).
-        bounce: Energy of the platform's motion against the winches, over what cables of usual
-            tensions hold by their stretch.
+        bounce: Energy of the platform's motion against the winches, over the energy that cables of
+            the usual tensions hold by their stretch.
         offset: Offsets, slack and bounds of the offsets thereafter [m], shape (3, n).
         state: The nearest one whose cables have the lengths and rates that were sent, shape (12,).
         rotation: Its rotation, shape (3, 3).
@@ -122,7 +122,7 @@ class FastMotion:
             offsets: As they are now.
             sent: Lengths that the winches have, straight and free but for offsets [m], shape (n,).
             rate: Of the winches [m/s], shape (n,).
-            usual: Tensions [N], shape (n,).
+            usual: Usual tensions [N], shape (n,).
         """
         n = self._n
         told = self._before(

@@ -58,13 +58,19 @@ def test_it_follows_a_fast_move_as_mpc_does(robot):
     assert errors[0] < 1.5 * errors[1] + 2e-3
 
 
-def test_the_platform_stays_where_it_is(robot):
+def at_home(robot):
+    """Return a controller that was reset at rest at home, the belief there, and the rest."""
     rest = statics.inverse_kinematics(robot, robot.home_position[None])
     controller = ApproximateMpc.build(robot)
     belief = Belief(
         time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
     )
     controller.reset(belief)
+    return controller, belief, rest
+
+
+def test_the_platform_stays_where_it_is(robot):
+    controller, belief, rest = at_home(robot)
     first = controller.command(belief, still(controller, robot.home_position)).unstrained_length
     assert first == pytest.approx(rest.unstrained_length, abs=3e-3)
 
@@ -80,12 +86,7 @@ def still(controller, position, cycle=0):
 
 def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
     robot = ct.load_robot("carosac")
-    rest = statics.inverse_kinematics(robot, robot.home_position[None])
-    controller = ApproximateMpc.build(robot)
-    belief = Belief(
-        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
-    )
-    controller.reset(belief)
+    controller, belief, _ = at_home(robot)
     lost = replace(belief, position=belief.position + np.array([0.0, 0.0, 0.8]))
     sent = []
     for k in range(150):
@@ -102,12 +103,7 @@ def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
 def test_a_platform_that_bounces_is_handed_over_for_longer_each_time():
     """At 0.5 m/s the platform has more energy than its cables; what a winch lets out has none."""
     robot = ct.load_robot("carosac")
-    rest = statics.inverse_kinematics(robot, robot.home_position[None])
-    controller = ApproximateMpc.build(robot)
-    calm = Belief(
-        time=np.zeros(1), position=rest.position, rotation=rest.rotation, twist=np.zeros((1, 6))
-    )
-    controller.reset(calm)
+    controller, calm, _ = at_home(robot)
     bouncing = replace(calm, twist=np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
     waited = []
     for k in range(420):
