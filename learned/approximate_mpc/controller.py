@@ -53,7 +53,8 @@ from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
-BOUNCE_MAX = 1.0  # energy of a bounce, over that of the usual stretch: with more, cables go slack
+# Energy of a bounce, over that of the usual stretch: cables go slack in turn with as much.
+BOUNCE_MAX = 0.7
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
 NO_TURN = np.zeros(3)  # of a state about the believed rotation
@@ -78,8 +79,8 @@ class PlanFollower:
     Attributes:
         period: Time between two commands [s].
         horizon: How far ahead the reference must reach [s].
-        bounce: Energy of the platform's motion against the winches, over the energy that cables of
-            the usual tensions hold by their stretch.
+        bounce: Energy of the platform's bounce, over the energy that cables of the usual tensions
+            hold by their stretch.
     """
 
     def __init__(
@@ -161,6 +162,8 @@ class PlanFollower:
         self._center = self.robot.center_of_mass
         self._free = geometry.free
         self._place(geometry)
+        self._lasting: Array | None = None
+        self._bounced: Array = np.zeros(2)
         self._forget()
 
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
@@ -187,7 +190,7 @@ class PlanFollower:
             sent=self._winches.length - self._excess.value - self._wrapped,
             rate=self._winches.rate, usual=self._usual_tension,
         )  # fmt: skip
-        self._free, self.bounce = seen.free, seen.bounce
+        self._free, self.bounce = seen.free, self._bounce(seen.bounce, belief)
         reason = self._reason(float(np.abs(seen.apart).max()), target.position[0], position)
         if not reason:
             self._offsets.take(*seen.offset)
@@ -259,6 +262,29 @@ class PlanFollower:
         self._after = self._pull = None
         self._acceleration = np.zeros(6)
         self._usual_place = None
+
+    def _bounce(self, moving: float, belief: Belief) -> float:
+        """Return the energy of a bounce, over that of the usual stretch.
+
+        It is in motion and in stretch by turns, and what has lately been in both is no error of
+        the belief alone. Tensions that differ from planned ones in the long run are of the plant.
+
+        Args:
+            moving: Energy of the motion against the winches, over the same.
+            belief: Without tensions, motion alone counts.
+        """
+        stretched = moving
+        if belief.tension is not None:
+            planned = self._usual_tension if self._pull is None else self._pull
+            missed = belief.tension[0] - planned
+            lasting = missed if self._lasting is None else self._lasting
+            sudden = missed - lasting
+            self._lasting = lasting + self.habit_share * sudden
+            soft = (self._free + self.robot.run_length) / self.robot.axial_stiffness
+            stretched = (soft @ sudden**2) / (soft @ self._usual_tension**2)
+        left = (1.0 - self.habit_share) * self._bounced
+        self._bounced = np.maximum(left, (moving, stretched))
+        return float(self._bounced.min())
 
     def _twist(self, belief: Belief) -> Array:
         """Return the believed twist; without one, the prediction corrected by the pose."""
