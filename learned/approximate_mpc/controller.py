@@ -53,7 +53,8 @@ from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
-# Energy of a bounce, over that of the usual stretch: cables go slack in turn with as much.
+# Energy of a bounce, over that of the usual stretch, chosen on drawn robots: with several times as
+# much, cables go slack in turn.
 BOUNCE_MAX = 0.7
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
@@ -271,17 +272,17 @@ class PlanFollower:
 
         Args:
             moving: Energy of the motion against the winches, over the same.
-            belief: Without tensions, motion alone counts.
+            belief: Without tensions, or with some that are not finite, motion alone counts, now.
         """
-        stretched = moving
-        if belief.tension is not None:
-            planned = self._usual_tension if self._pull is None else self._pull
-            missed = belief.tension[0] - planned
-            lasting = missed if self._lasting is None else self._lasting
-            sudden = missed - lasting
-            self._lasting = lasting + self.habit_share * sudden
-            soft = (self._free + self.robot.run_length) / self.robot.axial_stiffness
-            stretched = (soft @ sudden**2) / (soft @ self._usual_tension**2)
+        if belief.tension is None or not np.isfinite(belief.tension).all():
+            return moving
+        planned = self._usual_tension if self._pull is None else self._pull
+        missed = belief.tension[0] - planned
+        lasting = missed if self._lasting is None else self._lasting
+        sudden = missed - lasting
+        self._lasting = lasting + self.habit_share * sudden
+        soft = (self._free + self.robot.run_length) / self.robot.axial_stiffness
+        stretched = (soft @ sudden**2) / (soft @ self._usual_tension**2)
         left = (1.0 - self.habit_share) * self._bounced
         self._bounced = np.maximum(left, (moving, stretched))
         return float(self._bounced.min())

@@ -25,6 +25,8 @@ from learned.approximate_mpc.networks import list_networks
 from sim_warp.driver import SimDriver, SimDriverSettings
 from tests.robots import eight_cable_robot, hanging
 
+MOVING = np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]])  # with more energy than the cables hold
+
 
 @pytest.fixture(scope="module", params=["carosac", "scampi"])
 def robot(request):
@@ -104,7 +106,7 @@ def test_a_platform_that_bounces_is_handed_over_for_longer_each_time():
     """Its energy is in motion, and then in tensions that no plan has asked for."""
     robot = ct.load_robot("carosac")
     controller, calm = resting(robot)
-    moving = replace(calm, twist=np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
+    moving = replace(calm, twist=MOVING)
     stretched = replace(calm, tension=1.9 * calm.tension)
     told = {20: moving, 22: stretched, 180: moving, 182: stretched}
     waited = []
@@ -124,22 +126,38 @@ def test_what_is_believed_of_motion_or_stretch_alone_is_no_bounce(only):
     """A bounce is in both by turns; tensions that always differ are of the plant."""
     robot = ct.load_robot("carosac")
     controller, calm = resting(robot)
-    other = replace(calm, tension=1.9 * calm.tension)
-    if only == "moving":
-        other = replace(calm, twist=np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
+    moving, stretched = MOVING, 1.9 * calm.tension
+    if only == "always stretched":
+        calm = replace(calm, tension=stretched)
+    other = replace(calm, tension=stretched)
+    if only != "stretched":
+        other = replace(calm, twist=moving)
     for k in range(60):
-        differs = only == "always stretched" or k == 20
-        command_at(controller, other if differs else calm, robot, k)
+        command_at(controller, other if k == 20 else calm, robot, k)
     assert not controller.fallbacks
 
 
-def test_without_tensions_a_bounce_is_told_by_its_motion():
+@pytest.mark.parametrize("tension", ["none", "not finite"])
+def test_without_tensions_a_bounce_is_told_by_its_motion(tension):
+    """It counts as long as it lasts."""
     robot = ct.load_robot("carosac")
     controller, calm = resting(robot)
-    calm = replace(calm, tension=None)
-    moving = replace(calm, twist=np.array([[0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
+    told = None if tension == "none" else np.full_like(calm.tension, np.nan)
+    moving = replace(calm, twist=MOVING, tension=told)
     for k in range(30):
-        command_at(controller, moving if k == 20 else calm, robot, k)
+        command_at(controller, moving if k in (20, 21) else calm, robot, k)
+    assert controller.fallbacks["bouncing on its cables"] == 2
+
+
+def test_tensions_that_were_not_finite_hide_no_later_bounce():
+    robot = ct.load_robot("carosac")
+    controller, calm = resting(robot)
+    told = {
+        5: replace(calm, tension=np.full_like(calm.tension, np.nan)),
+        20: replace(calm, twist=MOVING), 22: replace(calm, tension=1.9 * calm.tension),
+    }  # fmt: skip
+    for k in range(30):
+        command_at(controller, told.get(k, calm), robot, k)
     assert controller.fallbacks["bouncing on its cables"] > 0
 
 
