@@ -455,7 +455,7 @@ class ApproximateMpc:
             raise InvalidField("approximate_mpc", "no belief to start from", "a call of reset()")
         require_rows(reference, self.horizon, self.period)
         inputs, reason = self._follower.look(belief, reference)
-        if not reason and self._follower.bounce > BOUNCE_MAX:  # a training would go on and learn
+        if not reason and self._follower.bounce > BOUNCE_MAX:  # training drives go on, to learn
             reason = BOUNCING
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)
