@@ -43,6 +43,7 @@ from carosac_toolkit.base.extras import require
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
+from learned.approximate_mpc.bounce_guard import BOUNCE_MAX, BounceGuard
 from learned.approximate_mpc.family_network import FamilyNetwork
 from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.networks import load_network, network_for
@@ -53,9 +54,6 @@ from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
-# Energy of a bounce, over that of the usual stretch, chosen on drawn robots: with several times as
-# much, cables go slack in turn.
-BOUNCE_MAX = 0.7
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
 NO_TURN = np.zeros(3)  # of a state about the believed rotation
@@ -80,8 +78,7 @@ class PlanFollower:
     Attributes:
         period: Time between two commands [s].
         horizon: How far ahead the reference must reach [s].
-        bounce: Energy of the platform's bounce, over the energy that cables of the usual tensions
-            hold by their stretch.
+        bounce: Energy with which the platform bounces, as `BounceGuard` has it.
     """
 
     def __init__(
@@ -122,6 +119,7 @@ class PlanFollower:
             robot, period=self.period, jerk_max=jerk_max,
             offsets=self._offsets, excess=self._excess, compiled=compiled,
         )  # fmt: skip
+        self._guard = BounceGuard(robot, self.period)
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
         self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * equal_energy(robot)
@@ -134,6 +132,7 @@ class PlanFollower:
         self._usual_tension: Array = np.zeros(robot.n)
         self._tension_share = tension_share
         self._pull: Array | None = None  # tensions of the last command
+        self._planned: Array | None = None  # what it has become within the winches' limits
         self._after: tuple[Array, Array] | None = None  # predicted state, and its R_0
         self._acceleration: Array = np.zeros(6)
         self._state: Array = np.zeros(model.STATE_SIZE)
@@ -163,8 +162,7 @@ class PlanFollower:
         self._center = self.robot.center_of_mass
         self._free = geometry.free
         self._place(geometry)
-        self._lasting: Array | None = None
-        self._bounced: Array = np.zeros(2)
+        self._guard.reset()
         self._forget()
 
     def look(self, belief: Belief, reference: Reference) -> tuple[PlanInputs, str]:
@@ -189,9 +187,13 @@ class PlanFollower:
         seen = self._motion.look(
             state, predicted, self._offsets,
             sent=self._winches.length - self._excess.value - self._wrapped,
-            rate=self._winches.rate, usual=self._usual_tension,
+            rate=self._winches.rate,
         )  # fmt: skip
-        self._free, self.bounce = seen.free, self._bounce(seen.bounce, belief)
+        self._free = seen.free
+        self.bounce = self._guard.bounce(
+            seen.motion_energy, seen.free, None if belief.tension is None else belief.tension[0],
+            self._usual_tension if self._planned is None else self._planned, self._usual_tension,
+        )  # fmt: skip
         reason = self._reason(float(np.abs(seen.apart).max()), target.position[0], position)
         if not reason:
             self._offsets.take(*seen.offset)
@@ -232,7 +234,7 @@ class PlanFollower:
         )  # fmt: skip
         self._excess.take(*ahead.excess)
         self._winches.take(ahead.winches, held=ahead.held)
-        self._after = ahead.state, self._base
+        self._after, self._planned = (ahead.state, self._base), ahead.tension
         share = self.habit_share
         self._usual_tension = self._usual_tension + share * (ahead.tension - self._usual_tension)
         assert self._usual_place is not None
@@ -260,32 +262,9 @@ class PlanFollower:
 
     def _forget(self) -> None:
         """Drop the prediction, and what was learned of the load, which may be wrong."""
-        self._after = self._pull = None
+        self._after = self._pull = self._planned = None
         self._acceleration = np.zeros(6)
         self._usual_place = None
-
-    def _bounce(self, moving: float, belief: Belief) -> float:
-        """Return the energy of a bounce, over that of the usual stretch.
-
-        It is in motion and in stretch by turns, and what has lately been in both is no error of
-        the belief alone. Tensions that differ from planned ones in the long run are of the plant.
-
-        Args:
-            moving: Energy of the motion against the winches, over the same.
-            belief: Without tensions, or with some that are not finite, motion alone counts, now.
-        """
-        if belief.tension is None or not np.isfinite(belief.tension).all():
-            return moving
-        planned = self._usual_tension if self._pull is None else self._pull
-        missed = belief.tension[0] - planned
-        lasting = missed if self._lasting is None else self._lasting
-        sudden = missed - lasting
-        self._lasting = lasting + self.habit_share * sudden
-        soft = (self._free + self.robot.run_length) / self.robot.axial_stiffness
-        stretched = (soft @ sudden**2) / (soft @ self._usual_tension**2)
-        left = (1.0 - self.habit_share) * self._bounced
-        self._bounced = np.maximum(left, (moving, stretched))
-        return float(self._bounced.min())
 
     def _twist(self, belief: Belief) -> Array:
         """Return the believed twist; without one, the prediction corrected by the pose."""

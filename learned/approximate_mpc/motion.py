@@ -35,8 +35,7 @@ class Seen(NamedTuple):
         innovation: What the twist has beyond its prediction, in the ways that the cables leave
             free, shape (6,).
         apart: What lengths sent and believed differ by, beside the offsets [m], shape (n,).
-        bounce: Energy of the platform's motion against the winches, over the energy that cables of
-            the usual tensions hold by their stretch.
+        motion_energy: Of the platform's motion against the winches [J].
         offset: Offsets, slack and bounds of the offsets thereafter [m], shape (3, n).
         state: The nearest one whose cables have the lengths and rates that were sent, shape (12,).
         rotation: Its rotation, shape (3, 3).
@@ -45,7 +44,7 @@ class Seen(NamedTuple):
     free: Array
     innovation: Array
     apart: Array
-    bounce: float
+    motion_energy: float
     offset: Array
     state: Array
     rotation: Array
@@ -112,7 +111,6 @@ class FastMotion:
         *,
         sent: Array,
         rate: Array,
-        usual: Array,
     ) -> Seen:
         """Return what a belief tells.
 
@@ -122,15 +120,14 @@ class FastMotion:
             offsets: As they are now.
             sent: Lengths that the winches have, straight and free but for offsets [m], shape (n,).
             rate: Of the winches [m/s], shape (n,).
-            usual: Usual tensions [N], shape (n,).
         """
         n = self._n
         told = self._before(
-            state, self.parameters, predicted, offsets.offset, offsets.most, sent, rate, usual
+            state, self.parameters, predicted, offsets.offset, offsets.most, sent, rate
         )
         return Seen(
             free=told[:n], innovation=told[n : n + 6], apart=told[n + 6 : 2 * n + 6],
-            bounce=float(told[2 * n + 6]), offset=told[2 * n + 7 : 5 * n + 7].reshape(3, n),
+            motion_energy=float(told[2 * n + 6]), offset=told[2 * n + 7 : 5 * n + 7].reshape(3, n),
             state=told[5 * n + 7 : 5 * n + 19], rotation=told[5 * n + 19 :].reshape(3, 3),
         )  # fmt: skip
 
@@ -170,12 +167,11 @@ def _before(motion: Any, robot: Robot, offsets: LengthOffsets) -> Expressions:
 
     do, n = expressions(), robot.n
     x, p, twist = (ca.SX.sym("s", size) for size in (model.STATE_SIZE, motion.size1_in(2), 6))
-    offset, most, sent, rate, usual = (ca.SX.sym("s", n) for _ in range(5))
+    offset, most, sent, rate = (ca.SX.sym("s", n) for _ in range(4))
     lengths, jacobian, pulled = _cables(ca, motion, x, p, n)
     along = _least_energy(ca, jacobian, pulled)
     away = jacobian @ x[6:] - rate
-    softness = (lengths + ca.DM(robot.run_length)) / ca.DM(robot.axial_stiffness)
-    bounce = ca.dot(away, ca.solve(jacobian @ pulled, away)) / ca.dot(softness, usual**2)
+    energy = 0.5 * ca.dot(away, ca.solve(jacobian @ pulled, away))
     innovation = x[6:] - twist
     missing = sent - lengths
     apart = missing - do.within(offset, -most, most)
@@ -193,8 +189,8 @@ def _before(motion: Any, robot: Robot, offsets: LengthOffsets) -> Expressions:
     innovation = innovation - along @ (jacobian @ innovation)
     return (
         "before",
-        [x, p, twist, offset, most, sent, rate, usual],
-        [lengths, innovation, apart, bounce, *learned, moved, turned],
+        [x, p, twist, offset, most, sent, rate],
+        [lengths, innovation, apart, energy, *learned, moved, turned],
     )
 
 
