@@ -378,8 +378,11 @@ def read_record(
     """
     found = metadata.get(METADATA_PREFIX + "schema")
     if found != schema:
+        kind, _, version = schema.rpartition("/")
+        older = [f"{kind}/{number}" for number in range(int(version))]
         got = f"{path} with schema {found}" if found else f"{path} without our metadata"
-        raise InvalidField("path", got, f"{wanted}, schema {schema}")
+        again = f" of this version: train it again with `{command}`" if found in older else ""
+        raise InvalidField("path", got, f"{wanted}, schema {schema}{again}")
     missing = [name for name in names if METADATA_PREFIX + name not in metadata]
     if missing:
         allowed = f"{wanted} of this version: train it again with `{command}`"

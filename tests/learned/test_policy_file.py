@@ -195,7 +195,9 @@ def test_a_cut_file_is_refused(file):
     "changes, message",
     [
         ({"schema": None}, "without our metadata"),
-        ({"schema": "carosac-policy/2"}, "schema carosac-policy/2; .*carosac-policy/1"),
+        ({"schema": "carosac-policy/0"}, "policy/0; .*policy/1 of this version: train it again"),
+        ({"schema": "carosac-policy/2"}, "schema carosac-policy/2; .*schema carosac-policy/1$"),
+        ({"schema": "carosac-plan/0"}, "schema carosac-plan/0; .*schema carosac-policy/1$"),
         ({"robot": None, "seed": None}, "without robot, seed"),
         ({"probe": None}, "without probe; .*train it again with `carosac train`"),
         ({"probe": "null"}, r"policy\.probe: got None"),
