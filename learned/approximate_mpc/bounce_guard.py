@@ -17,7 +17,6 @@ from carosac_toolkit.robot.robot import Robot
 # Energy of a bounce, over that of the usual stretch, chosen on drawn robots: with several times as
 # much, cables go slack in turn.
 BOUNCE_MAX = 0.7
-REMEMBERED_MAX = 1.0  # of the same: a larger energy is not remembered for longer
 
 
 class BounceGuard:
@@ -39,6 +38,7 @@ class BounceGuard:
     ) -> float:
         """Return the energy that has lately been in motion as well as in stretch, over the usual.
 
+        What was in each fades within half a second or so: the more it was, the longer it counts.
         Tensions that differ from planned ones in the long run are of the plant, and do not count.
 
         Args:
@@ -58,7 +58,7 @@ class BounceGuard:
         self._lasting = lasting + self._share * sudden
         now = np.array([motion, self._stretch_energy(free, sudden)]) / held
         left = (1.0 - self._share) * self._lately
-        self._lately = np.maximum(left, np.minimum(now, REMEMBERED_MAX))
+        self._lately = np.maximum(left, now)
         return float(self._lately.min())
 
     def _stretch_energy(self, free: Array, tension: Array) -> float:

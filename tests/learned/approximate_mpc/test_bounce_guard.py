@@ -57,15 +57,6 @@ def test_one_after_the_other_is_remembered_for_a_while(robot):
     assert left[-1] < 0.1
 
 
-def test_a_large_energy_is_remembered_no_longer_than_one_of_the_usual(robot):
-    told, other = Told(robot), Told(robot)
-    for each in (told, other):
-        each.tell()
-    told.tell(motion=50.0, stretch=50.0)
-    other.tell(motion=1.0, stretch=1.0)
-    assert told.tell() == pytest.approx(other.tell())
-
-
 def test_tensions_that_always_differ_are_of_the_plant(robot):
     told = Told(robot)
     assert max(told.tell(motion=5.0, stretch=0.9) for _ in range(100)) < 1e-9
