@@ -376,17 +376,17 @@ def read_record(
     Raises:
         InvalidField: Another schema, or something is missing or damaged.
     """
+    again = f" of this version: train it again with `{command}`"
     found = metadata.get(METADATA_PREFIX + "schema")
     if found != schema:
         kind, _, version = schema.rpartition("/")
         older = [f"{kind}/{number}" for number in range(int(version))]
         got = f"{path} with schema {found}" if found else f"{path} without our metadata"
-        again = f" of this version: train it again with `{command}`" if found in older else ""
-        raise InvalidField("path", got, f"{wanted}, schema {schema}{again}")
+        allowed = f"{wanted}, schema {schema}"
+        raise InvalidField("path", got, allowed + again if found in older else allowed)
     missing = [name for name in names if METADATA_PREFIX + name not in metadata]
     if missing:
-        allowed = f"{wanted} of this version: train it again with `{command}`"
-        raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
+        raise InvalidField("path", f"{path} without {', '.join(missing)}", wanted + again)
     try:
         record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except (ValueError, RecursionError) as error:

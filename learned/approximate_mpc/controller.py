@@ -132,7 +132,7 @@ class PlanFollower:
         self._usual_tension: Array = np.zeros(robot.n)
         self._tension_share = tension_share
         self._pull: Array | None = None  # tensions of the last command
-        self._planned: Array | None = None  # what it has become within the winches' limits
+        self._planned: Array | None = None  # what the winches could do of these
         self._after: tuple[Array, Array] | None = None  # predicted state, and its R_0
         self._acceleration: Array = np.zeros(6)
         self._state: Array = np.zeros(model.STATE_SIZE)

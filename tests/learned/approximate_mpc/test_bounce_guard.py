@@ -28,9 +28,7 @@ class Told:
 
     def tell(self, motion=0.0, stretch=0.0):
         tension = (1.0 + np.sqrt(stretch)) * self.usual
-        return self.guard.bounce(
-            motion * self.held, self.free, tension, self.usual, self.usual
-        )  # fmt: skip
+        return self.guard.bounce(motion * self.held, self.free, tension, self.usual, self.usual)
 
 
 @pytest.fixture
