@@ -106,6 +106,7 @@ class PlanNumbers:
         self._unit = 2.0 / (robot.workspace_max - robot.workspace_min)
         self._home = np.ascontiguousarray(robot.home_rotation.T)
         self._share = robot.n / robot.weight
+        self._usual = slice(-3 - robot.n, -3)
 
     def count(self, stages: int) -> int:
         """Return how many numbers these are, for a plan of some stages."""
@@ -124,6 +125,10 @@ class PlanNumbers:
             inputs.usual_tension * self._share,
             inputs.usual_place,
         ])  # fmt: skip
+
+    def usual_tension(self, numbers: Array) -> Array:
+        """Return the usual tensions [N] (..., n) that are in numbers (..., m)."""
+        return np.asarray(numbers[..., self._usual] / self._share)
 
 
 def _small_turn(rotation: Array) -> Array:

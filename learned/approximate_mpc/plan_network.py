@@ -15,7 +15,11 @@ from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron, perceptron_of
-from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
+from learned.approximate_mpc.plan_inputs import (
+    PlanCallback,
+    PlanNumbers,
+    input_count,
+)
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
     OpenedNetwork,
@@ -28,7 +32,7 @@ from learned.policy_file import (
 )
 from learned.policy_network import Layers
 
-PLAN_SCHEMA = "carosac-plan/1"
+PLAN_SCHEMA = "carosac-plan/2"
 PLAN_FILE_NAME = "an ONNX file that `carosac distill` wrote"
 
 
@@ -39,6 +43,7 @@ class PlanDescription:
     Attributes:
         robot: The nominal robot.
         mpc: Settings of the controller that it learned from; all that was chosen.
+        tension_scale: Change of tensions, from the usual ones, for an output of 1 [N].
         excess_scale: Sag less stretch for an output of 1 [m].
         seed: Of the training.
         commit: Of the code that trained it.
@@ -48,6 +53,7 @@ class PlanDescription:
 
     robot: Robot
     mpc: dict[str, Any]
+    tension_scale: float
     excess_scale: float
     seed: int
     commit: str
@@ -65,14 +71,11 @@ def check_share(name: str, value: float) -> None:
         raise InvalidField(name, repr(value), "0 < share <= 1")
 
 
-def tension_range(robot: Robot) -> tuple[Array | float, Array | float]:
-    """Return the middle of the tension limits [N], and half of their distance."""
-    low, high = robot.tension_min, robot.tension_max
-    return 0.5 * (high + low), 0.5 * (high - low)
-
-
 class PlanNetwork:
     """First tensions of a plan, and sag less stretch that belong to them.
+
+    It tells by how much tensions differ from the usual ones: a platform that rests where it should
+    needs no change, whatever its place, load and wind.
 
     Attributes:
         description: What it was trained for.
@@ -85,12 +88,11 @@ class PlanNetwork:
         self.settings = MpcSettings(**description.mpc)
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
-        middle, half = tension_range(description.robot)
-        n = self._n = description.robot.n
-        self._middle = np.concatenate([np.broadcast_to(middle, n), np.zeros(n)])
-        self._half = np.concatenate([
-            np.broadcast_to(half, n), np.full(n, description.excess_scale)
-        ])  # fmt: skip
+        robot = description.robot
+        n = self._n = robot.n
+        self._scale = np.repeat([description.tension_scale, description.excess_scale], n)
+        self._least, self._most = robot.tension_min, robot.tension_max
+        self._numbers = PlanNumbers(robot)
 
     @classmethod
     def load(cls, path: str | Path) -> PlanNetwork:
@@ -112,6 +114,7 @@ class PlanNetwork:
                 [f.name for f in fields(PlanDescription)],
                 wanted=PLAN_FILE_NAME, command="carosac distill",
             )  # fmt: skip
+            check_positive("tension_scale", record["tension_scale"], "N")
             check_positive("excess_scale", record["excess_scale"], "m")
             check_whole("seed", record["seed"], 0)
             description = PlanDescription(**record)
@@ -132,8 +135,9 @@ class PlanNetwork:
         Raises:
             InvalidField: One of them is not finite, or far from all that a robot does.
         """
-        told = self._middle + self._half * self._tell(numbers)
-        return told[: self._n], told[self._n :]
+        told = self._scale * self._tell(numbers)
+        tension = self._numbers.usual_tension(numbers) + told[: self._n]
+        return np.minimum(np.maximum(tension, self._least), self._most), told[self._n :]
 
     def settings_of(self, robot: Robot) -> MpcSettings:
         """Return the settings of MPC; they are of the robot that it was trained for."""
@@ -141,8 +145,7 @@ class PlanNetwork:
 
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""
-        numbers = PlanNumbers(robot)
-        return lambda inputs: self.plan(numbers.of(inputs))
+        return lambda inputs: self.plan(self._numbers.of(inputs))
 
     def check(self, robot: Robot) -> None:
         """Refuse a robot that the network was not trained for.

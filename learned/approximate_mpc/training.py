@@ -31,13 +31,12 @@ from learned.approximate_mpc.demonstrations import (
     demonstrate,
 )
 from learned.approximate_mpc.perceptron import Perceptron
-from learned.approximate_mpc.plan_inputs import input_units
+from learned.approximate_mpc.plan_inputs import PlanNumbers, input_units
 from learned.approximate_mpc.plan_network import (
     PlanDescription,
     PlanNetwork,
     check_share,
     settings_record,
-    tension_range,
     write_plan_network,
 )
 from learned.approximate_mpc.rounds import (
@@ -55,7 +54,7 @@ from learned.approximate_mpc.rounds import (
 from learned.policy_file import record_of
 from learned.policy_network import Layers
 
-EXCESS_MARGIN = 2.0  # times the largest sag less stretch that was met: of an output of 1
+MARGIN = 2.0  # times the largest change that was met, and sag less stretch: of an output of 1
 SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
 TABLE_COLUMNS = (
     "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N"
@@ -75,10 +74,10 @@ class DistillationSettings:
         tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
-    drives: tuple[int, ...] = (80, 100, 100, 120)
+    drives: tuple[int, ...] = (30, 80, 110, 140)
     updates: tuple[int, ...] = (8000, 8000, 8000, 40000)
     batch: int = 512
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: tuple[int, ...] = (128, 128, 128)
     rate: float = 1e-3
     tension_share: float = 1.0
 
@@ -147,8 +146,8 @@ def distill(
             "lost": float(np.sum(~np.isfinite(errors))), "drive_error_m": median_of_ended(errors),
         }  # fmt: skip
         description = PlanDescription(
-            robot=robot, mpc=settings_record(teacher), excess_scale=found.excess_scale, seed=seed,
-            commit=commit_of_code() or "",
+            robot=robot, mpc=settings_record(teacher), tension_scale=found.tension_scale,
+            excess_scale=found.excess_scale, seed=seed, commit=commit_of_code() or "",
             training={
                 "drives": float(len(parts)), "samples": found.scores["samples"],
                 "tension_share": chosen.tension_share,
@@ -187,11 +186,13 @@ class _Fit:
 
     Attributes:
         layers: Weights and biases.
+        tension_scale: Change of tensions for an output of 1 [N].
         excess_scale: Sag less stretch for an output of 1 [m].
         scores: By name.
     """
 
     layers: Layers
+    tension_scale: float
     excess_scale: float
     scores: dict[str, float]
 
@@ -215,10 +216,10 @@ def _fit(
     if not len(numbers) or held.all():
         why = next((part.lost for part in parts if part.lost), "too few drives")
         raise CarosacError(f"distillation: MPC gave no answers that can be learned from ({why})")
-    excess_scale = EXCESS_MARGIN * float(np.abs(excess).max())
-    middle, half = tension_range(robot)
-    wanted = np.hstack([(tension - middle) / half, excess / excess_scale])
-    unit = np.concatenate([robot.weight / robot.n / half, np.full(robot.n, 0.1)])
+    change = tension - PlanNumbers(robot).usual_tension(numbers)
+    tension_scale, excess_scale = (MARGIN * float(np.abs(x).max()) for x in (change, excess))
+    wanted = np.hstack([change / tension_scale, excess / excess_scale])
+    unit = np.repeat([robot.weight / robot.n / tension_scale, 0.1], robot.n)
     layers = regress(
         numbers[~held], wanted[~held], unit, SPREAD_MIN * input_units(robot, stages),
         Regression(
@@ -227,10 +228,12 @@ def _fit(
         ),
         report,
     )  # fmt: skip
-    off = (Perceptron(layers)(numbers) - wanted)[:, : robot.n] * half
+    off = tension_scale * (Perceptron(layers)(numbers) - wanted)[:, : robot.n]
     scores = {
         "samples": float(len(numbers)),
         "trained_error_N": rms(off[~held]),
         "held_out_error_N": rms(off[held]),
     }
-    return _Fit(layers=layers, excess_scale=excess_scale, scores=scores)
+    return _Fit(
+        layers=layers, tension_scale=tension_scale, excess_scale=excess_scale, scores=scores
+    )

@@ -18,10 +18,9 @@ from learned.approximate_mpc.demonstrations import (
     DemonstrationSettings,
     draw_resting,
 )
-from learned.approximate_mpc.plan_inputs import input_count, input_units
+from learned.approximate_mpc.plan_inputs import PlanNumbers, input_count, input_units
 from learned.approximate_mpc.plan_network import (
     PlanNetwork,
-    tension_range,
     write_plan_network,
 )
 from learned.approximate_mpc.training import DistillationSettings, distill
@@ -90,11 +89,13 @@ def test_numpy_runs_a_network_as_onnxruntime_does(robot, folder):
     network = PlanNetwork.load(folder / "network.onnx")
     session = open_network(folder / "network.onnx", "a network").session
     drawn = np.random.default_rng(0).standard_normal((20, input_count(robot, 20)))
-    middle, half = tension_range(robot)
     for numbers in (*drawn, *(1e3 * drawn)):
+        usual = PlanNumbers(robot).usual_tension(numbers)
         (told,) = session.run(["action"], {"observation": numbers[None].astype(np.float32)})
         tension, excess = network.plan(numbers)
-        assert (tension - middle) / half == pytest.approx(told[0, : robot.n], abs=1e-5)
+        wanted = usual + network.description.tension_scale * told[0, : robot.n]
+        allowed = np.clip(wanted, robot.tension_min, robot.tension_max)
+        assert tension == pytest.approx(allowed, abs=1e-5 * network.description.tension_scale)
         assert excess == pytest.approx(
             network.description.excess_scale * told[0, robot.n :], abs=1e-6
         )
