@@ -7,6 +7,7 @@ References:
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -90,6 +91,7 @@ class Demonstrations:
         excess: Sag less stretch that belong to them [m], shape (K, n).
         error: RMS distance from the reference in the drive [m]; NaN: it was given up.
         lost: Why, or nothing.
+        cpu_time: That the drive took [s].
     """
 
     numbers: Array
@@ -97,12 +99,13 @@ class Demonstrations:
     excess: Array
     error: float
     lost: str
+    cpu_time: float
 
     def save(self, path: Path) -> None:
         """Write a file."""
         np.savez_compressed(
             path, numbers=self.numbers.astype(np.float32), tension=self.tension,
-            excess=self.excess, error=self.error, lost=self.lost,
+            excess=self.excess, error=self.error, lost=self.lost, cpu_time=self.cpu_time,
         )  # fmt: skip
 
     @classmethod
@@ -112,6 +115,7 @@ class Demonstrations:
             return cls(
                 numbers=data["numbers"], tension=data["tension"], excess=data["excess"],
                 error=float(data["error"]), lost=str(data["lost"]),
+                cpu_time=float(data["cpu_time"]),
             )  # fmt: skip
 
 
@@ -135,6 +139,7 @@ def demonstrate(
         reader: Gives the numbers that are kept; None: `PlanNumbers`.
         longest: Time after which a path is left [s].
     """
+    began = time.process_time()
     chosen = resolved(settings, Scales(robot).ratios)
     rng = np.random.default_rng([*seed, 13])
     path = draw_path(robot, chosen, rng)
@@ -167,7 +172,7 @@ def demonstrate(
         assert log.position is not None
         away = np.linalg.norm(log.position - log.reference, axis=2)
         error = float(np.sqrt((away**2).mean()))
-    return controller.demonstrations(error, lost)
+    return controller.demonstrations(error, lost, time.process_time() - began)
 
 
 def draw_resting(
@@ -293,7 +298,7 @@ class _Asking:
         sent = self._follower.follow(inputs, tension, excess)
         return Command(time=belief.time, unstrained_length=sent[None])
 
-    def demonstrations(self, error: float, lost: str) -> Demonstrations:
+    def demonstrations(self, error: float, lost: str, cpu_time: float) -> Demonstrations:
         """Return all answers."""
         n, size = self._robot.n, self._reader.count(self._follower.settings.stages)
         return Demonstrations(
@@ -302,6 +307,7 @@ class _Asking:
             excess=np.array(self._excess).reshape(-1, n),
             error=error,
             lost=lost,
+            cpu_time=cpu_time,
         )
 
     def _ask(self, inputs: PlanInputs, rest: Array, habit: Array, time: float) -> Plan:

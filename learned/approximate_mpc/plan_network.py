@@ -15,11 +15,7 @@ from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron, perceptron_of
-from learned.approximate_mpc.plan_inputs import (
-    PlanCallback,
-    PlanNumbers,
-    input_count,
-)
+from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
     OpenedNetwork,

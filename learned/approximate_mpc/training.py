@@ -8,6 +8,7 @@ on from there; with the same code it ends as if it had not been.
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -57,7 +58,8 @@ from learned.policy_network import Layers
 MARGIN = 2.0  # times the largest change that was met, and sag less stretch: of an output of 1
 SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
 TABLE_COLUMNS = (
-    "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N"
+    "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N",
+    "cpu_s",
 )  # fmt: skip
 
 
@@ -74,7 +76,7 @@ class DistillationSettings:
         tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
-    drives: tuple[int, ...] = (30, 80, 110, 140)
+    drives: tuple[int, ...] = (30, 60, 80, 90)
     updates: tuple[int, ...] = (8000, 8000, 8000, 40000)
     batch: int = 512
     hidden: tuple[int, ...] = (128, 128, 128)
@@ -139,8 +141,10 @@ def distill(
     def fit(
         k: int, paths: list[Path], told: CountCallback
     ) -> tuple[dict[str, float], WriteCallback]:
+        began = time.process_time()
         parts = [Demonstrations.load(each) for each in paths]
-        errors = [part.error for part in parts[-chosen.drives[k] :]]
+        last = parts[-chosen.drives[k] :]
+        errors = [part.error for part in last]
         found = _fit(robot, teacher.stages, parts, chosen, k, seed, told)
         scores = found.scores | {
             "lost": float(np.sum(~np.isfinite(errors))), "drive_error_m": median_of_ended(errors),
@@ -154,7 +158,10 @@ def distill(
             },
             scores=scores,
         )  # fmt: skip
-        return scores, lambda path: write_plan_network(path, found.layers, description)
+        spent = sum(part.cpu_time for part in last) + time.process_time() - began
+        return scores | {"cpu_s": spent}, partial(
+            write_plan_network, layers=found.layers, description=description
+        )
 
     return train_rounds(
         folder, chosen.drives,

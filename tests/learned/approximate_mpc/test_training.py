@@ -59,14 +59,18 @@ def test_mpc_follows_the_path_through_what_commands_a_network(folder):
     assert len(first.numbers) == len(first.tension) == len(first.excess) > 50
 
 
+def _without_time(path):
+    return [line.rsplit(",", 1)[0] for line in path.read_text().splitlines()]
+
+
 def test_a_training_that_was_killed_goes_on_as_if_it_had_not(robot, folder):
     whole = (folder / "network.onnx").read_bytes()
-    table = (folder / "rounds.csv").read_text()
+    table = _without_time(folder / "rounds.csv")
     for name in ("network.onnx", "round-2.onnx", "drive-0002.npz"):
         (folder / name).unlink()
     distill(robot, folder, settings=SMALL, demonstrations=SHORT)
     assert (folder / "network.onnx").read_bytes() == whole
-    assert (folder / "rounds.csv").read_text() == table
+    assert _without_time(folder / "rounds.csv") == table
 
 
 def test_another_training_in_the_folder_is_refused(robot, folder):
