@@ -15,11 +15,11 @@ from baselines.mpc import model
 from baselines.mpc.arithmetic import expressions
 from baselines.mpc.excess_filter import ExcessFilter
 from baselines.mpc.length_offsets import LengthOffsets
-from baselines.mpc.machine_code import with_machine_code
 from baselines.mpc.settings import Compiled
 from baselines.mpc.winch_reference import WinchFormulas, WinchState
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.packed_function import Expressions, PackedFunction
 
 # All with the Jacobian of the first: on ``carosac`` they meet lengths that are 2 cm off to
 # micrometres, and 5 cm off to a tenth of a millimetre.
@@ -99,8 +99,8 @@ class FastMotion:
         """
         n = self._n = robot.n
         motion = model.continuous(n)
-        self._before = _Packed(*_before(motion, robot, offsets), compiled)
-        self._after = _Packed(*_after(motion, robot, period, jerk_max, excess), compiled)
+        self._before = PackedFunction(*_before(motion, robot, offsets), compiled)
+        self._after = PackedFunction(*_after(motion, robot, period, jerk_max, excess), compiled)
         self.parameters = np.zeros(motion.size1_in(2))
 
     def look(
@@ -155,10 +155,6 @@ class FastMotion:
             state=told[:12], tension=rows[0], excess=rows[1:3],
             winches=WinchState(*rows[3 : 3 + WINCHES]), held=bool(rows[3 + WINCHES].any()),
         )  # fmt: skip
-
-
-Expressions = tuple[str, list[Any], list[Any]]
-"""Name, inputs and outputs of a function."""
 
 
 def _before(motion: Any, robot: Robot, offsets: LengthOffsets) -> Expressions:
@@ -240,30 +236,3 @@ def _cables(ca: Any, motion: Any, x: Any, p: Any, n: int) -> tuple[Any, Any, Any
 def _least_energy(ca: Any, jacobian: Any, pulled: Any) -> Any:
     """Return the motion of least energy (6, n) per length, as `constrained_motion` has it."""
     return ca.solve(jacobian @ pulled, pulled.T).T
-
-
-class _Packed:
-    """A CasADi function whose inputs are one vector in memory, and its outputs another."""
-
-    def __init__(
-        self, name: str, inputs: list[Any], outputs: list[Any], compiled: Compiled
-    ) -> None:
-        """Build it of expressions."""
-        import casadi as ca
-
-        packed = ca.SX.sym("packed", sum(each.numel() for each in inputs))
-        values = ca.densify(ca.vertcat(*outputs))
-        values = ca.substitute(values, ca.vertcat(*inputs), packed)
-        built = ca.Function(f"{name}_network", [packed], [values], {"cse": True})
-        function, _ = with_machine_code(built, compiled)
-        self._function = function
-        self._buffer, self._evaluate = function.buffer()
-        self._input, self._output = np.zeros(packed.numel()), np.zeros(values.numel())
-        self._buffer.set_arg(0, self._input.data)
-        self._buffer.set_res(0, self._output.data)
-
-    def __call__(self, *values: Array) -> Array:
-        """Return the outputs, one after another."""
-        np.concatenate(values, out=self._input)
-        self._evaluate()
-        return self._output.copy()

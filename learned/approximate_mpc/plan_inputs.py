@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from baselines.mpc import model
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.packed_function import Expressions, PackedFunction
 
-HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn
+HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn, that no network has seen
+PULLED_EVERY = 2  # times of a plan, of the way and its velocity for which pulls are told
+DAMPING = 1e-3  # of pulls: cables in one plane pull nothing out of it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,24 +90,30 @@ def input_units(robot: Robot, stages: int) -> Array:
 
 def _blocks(robot: Robot, stages: int) -> tuple[tuple[str, int], ...]:
     """Return the unit of each block of numbers, and how many these are."""
-    ahead = 3 * (stages + 1)
+    n, ahead = robot.n, 3 * (stages + 1)
+    pulled = n * len(range(0, stages + 1, PULLED_EVERY))
     return (
-        ("1", 3), ("rad", 3), ("m/s", 3), ("rad/s", 3), ("m", ahead), ("m/s", ahead),
-        ("m", 3), ("m/s^2", 3), ("rad/s^2", 3), ("1", robot.n), ("m", 3),
+        ("1", n), ("1", 3), ("rad", 3), ("m/s", 3), ("rad/s", 3), ("m", ahead), ("m/s", ahead),
+        ("m", 3), ("m/s^2", 3), ("rad/s^2", 3), ("m", 3), ("1", 3 * n), ("1", n),
+        ("m/s^2", 3), ("rad/s^2", 3), ("m", pulled), ("m/s", pulled), ("m/s^2", 2 * n),
+        ("m/s", n), ("m/s^2", 2 * n), ("m/s", n),
     )  # fmt: skip
 
 
 class PlanNumbers:
-    """Turns inputs into the numbers that a network reads, for one robot."""
+    """Turns inputs into the numbers that a network reads, for one robot.
+
+    Beside the inputs, they are what a network would have to multiply: directions and lengths of the
+    cables, taken as straight, what accelerations usual tensions give (`free` and `turning`), least
+    tensions that add up to a part of the way, of its velocity or of an acceleration (`pulls`), and
+    how fast the platform turns along each cable (`levers`).
+    """
 
     def __init__(self, robot: Robot) -> None:
-        """Take the robot's box and home."""
+        """Take the robot."""
         self._robot = robot
-        self._middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-        self._unit = 2.0 / (robot.workspace_max - robot.workspace_min)
-        self._home = np.ascontiguousarray(robot.home_rotation.T)
         self._share = robot.n / robot.weight
-        self._usual = slice(-3 - robot.n, -3)
+        self._functions: dict[int, PackedFunction] = {}
 
     def count(self, stages: int) -> int:
         """Return how many numbers these are, for a plan of some stages."""
@@ -114,29 +121,69 @@ class PlanNumbers:
 
     def of(self, inputs: PlanInputs) -> Array:
         """Return the numbers, in units of the robot where they have any."""
-        return np.concatenate([
-            (inputs.position - self._middle) * self._unit,
-            _small_turn(inputs.rotation @ self._home),
-            inputs.twist,
-            (inputs.target - inputs.position).ravel(),
-            (inputs.target_velocity - inputs.twist[:3]).ravel(),
-            inputs.center,
-            inputs.acceleration,
-            inputs.usual_tension * self._share,
-            inputs.usual_place,
-        ])  # fmt: skip
+        times = len(inputs.target)
+        function = self._functions.get(times)
+        if function is None:
+            built = _numbers(self._robot, times)
+            function = self._functions[times] = PackedFunction(*built, "never")
+        return function(
+            inputs.position, inputs.rotation.ravel(), inputs.twist, inputs.target.ravel(),
+            inputs.target_velocity.ravel(), inputs.center, inputs.acceleration,
+            inputs.usual_tension, inputs.usual_place,
+        )  # fmt: skip
 
     def usual_tension(self, numbers: Array) -> Array:
         """Return the usual tensions [N] (..., n) that are in numbers (..., m)."""
-        return np.asarray(numbers[..., self._usual] / self._share)
+        return np.asarray(numbers[..., : self._robot.n] / self._share)
 
 
-def _small_turn(rotation: Array) -> Array:
+def _numbers(robot: Robot, times: int) -> Expressions:
+    """Return inputs and numbers, in the order of `_blocks`, for a plan of so many times."""
+    import casadi as ca
+
+    position, velocity, spin, center, push, moment, place = (ca.SX.sym("x", 3) for _ in range(7))
+    turn, target, faster = ca.SX.sym("r", 9), ca.SX.sym("w", 3 * times), ca.SX.sym("v", 3 * times)
+    usual = ca.SX.sym("t", robot.n)
+    rotation = ca.reshape(turn, 3, 3).T  # it was told row by row
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * (robot.workspace_max - robot.workspace_min)
+    arms = ca.DM(robot.anchor_points) @ rotation.T
+    chord = ca.DM(robot.exit_points) - ca.repmat(position.T, robot.n, 1) - arms
+    length = ca.sqrt(ca.sum2(chord**2))
+    along = chord / ca.repmat(length, 1, 3)
+    offset = rotation @ (ca.DM(robot.center_of_mass) + center)
+    levers = ca.vertcat(*(
+        ca.cross(arms[i, :].T - offset, along[i, :].T).T for i in range(robot.n)
+    ))  # fmt: skip
+    free = along.T @ usual / robot.mass - ca.DM([0.0, 0.0, robot.gravity])
+    inverse = rotation @ ca.DM(np.linalg.inv(robot.inertia)) @ rotation.T
+    turning = inverse @ (levers.T @ usual)
+    way = ca.reshape(target, 3, times) - ca.repmat(position, 1, times)
+    ahead = ca.reshape(faster, 3, times) - ca.repmat(velocity, 1, times)
+    some = list(range(0, times, PULLED_EVERY))
+    pulled = ca.horzcat(way[:, some], ahead[:, some], push, free + push)
+    least = along @ ca.solve(along.T @ along + DAMPING * ca.DM.eye(3), pulled)
+    numbers = [
+        usual * (robot.n / robot.weight), (position - middle) / half,
+        _small_turn(rotation @ ca.DM(robot.home_rotation.T)), velocity, spin,
+        ca.vec(way), ca.vec(ahead), center, push, moment, place, ca.vec(along),
+        ca.log(length / Scales(robot).length), free, turning, ca.vec(least),
+        levers @ spin, levers @ turning, levers @ moment, along @ ahead[:, 0],
+    ]  # fmt: skip
+    inputs = [
+        position, turn, ca.vertcat(velocity, spin), target, faster, center,
+        ca.vertcat(push, moment), usual, place,
+    ]  # fmt: skip
+    return "numbers", inputs, numbers
+
+
+def _small_turn(rotation: Any) -> Any:
     """Return the modified Rodrigues parameters (3,) of less than half a turn."""
-    (a, d, e), (f, b, g), (h, k, c) = rotation.tolist()
-    square = 1.0 + a + b + c
-    if square < HALF_TURN:  # which no network has seen
-        return model.parameters_of(rotation)
-    root = math.sqrt(square)  # of the quaternion: its scalar is root / 2, its vector (k - g, ...)
-    share = 1.0 / (root * (2.0 + root))  # over 2 root
-    return np.array([share * (k - g), share * (e - h), share * (f - d)])
+    import casadi as ca
+
+    root = ca.sqrt(ca.fmax(1.0 + ca.trace(rotation), HALF_TURN))  # its half is the scalar part
+    vector = ca.vertcat(
+        rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0],
+        rotation[1, 0] - rotation[0, 1],
+    )  # fmt: skip
+    return vector / (root * (2.0 + root))

@@ -108,8 +108,8 @@ def test_numpy_runs_a_network_as_onnxruntime_does(robot, folder):
 def test_units_of_inputs_are_those_of_carosac_and_grow_with_the_robot(robot):
     same, small = input_units(robot, 20), input_units(similar_robot(robot, 0.1), 20)
     assert same == pytest.approx(np.ones(input_count(robot, 20)))
-    assert small[12:15] == pytest.approx(0.1)  # of distances
-    assert small[6:9] == pytest.approx(np.sqrt(0.1))  # of velocities, by Froude's law
+    assert small[16:19] == pytest.approx(0.1)  # of distances
+    assert small[10:13] == pytest.approx(np.sqrt(0.1))  # of velocities, by Froude's law
 
 
 def test_a_network_is_refused_for_another_robot(robot, folder):
