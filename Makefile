@@ -82,8 +82,11 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	for robot in carosac scampi; do for preset in carosac residual; do \
 		$(BIN)/carosac train --preset $$preset --robot $$robot --seeds 3 --workers $(JOBS) \
 			--output $(RESULTS)/learning/$$robot-$$preset || exit; done; done
-	$(BIN)/carosac distill --robot carosac --tension-share 0.6 --output $(RESULTS)/distilled/carosac
-	$(BIN)/carosac distill --robot scampi --output $(RESULTS)/distilled/scampi
+	for seed in 0 1 2; do \
+		$(BIN)/carosac distill --seed $$seed --robot carosac --tension-share 0.6 \
+			--output $(RESULTS)/distilled/carosac-$$seed && \
+		$(BIN)/carosac distill --seed $$seed --robot scampi \
+			--output $(RESULTS)/distilled/scampi-$$seed || exit; done
 	$(BIN)/carosac train --preset residual --seed 9 --steps 256 --set environment.correction=0 \
 		--output $(RESULTS)/feedforward
 	$(BIN)/python -m benchmarks.learning --parts curves bars --runs $(RESULTS)/learning/*
@@ -92,7 +95,7 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 		$(RESULTS)/learning/*-residual/*/realtime/policy.onnx
 	$(BIN)/python -m benchmarks.learning --parts inference low
 	$(BIN)/python -m benchmarks.approximate_mpc --networks \
-		$(RESULTS)/distilled/carosac/network.onnx $(RESULTS)/distilled/scampi/network.onnx
+		$(RESULTS)/distilled/*/network.onnx
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build

@@ -2,7 +2,9 @@
 
 Run by hand: ``python -m benchmarks.approximate_mpc [--seeds N] [--robots NAME ...]
 [--networks FILE ...]``; two processes. The same plants, paths and estimator as of the drives in
-`benchmarks.learning`; ratios are of one plant and path each. Runs are kept under
+`benchmarks.learning`; ratios are of one plant and path each. Beside the bundled networks, of seed
+0, those of ``benchmarks/plans`` are driven, of the same training with other seeds, and the CPU time
+of all trainings is told from their tables of rounds. Runs are kept under
 ``benchmarks/approximate_mpc.parts`` by the content of the network, so that a run goes on where
 another one ended; remove the folder where other code has changed.
 """
@@ -10,6 +12,7 @@ another one ended; remove the folder where other code has changed.
 from __future__ import annotations
 
 import argparse
+import csv
 import hashlib
 import json
 import multiprocessing
@@ -26,6 +29,7 @@ from learned.approximate_mpc.networks import BUNDLED, find_network
 from learned.approximate_mpc.plan_network import PlanNetwork
 
 KEPT = Path(__file__).parent / "approximate_mpc.parts"
+OTHERS = Path(__file__).parent / "plans"  # of other seeds than those of the bundled networks
 TITLE, CONTROLLER = "Approximate MPC", "approximate_mpc"
 PATHS = (*MOVES, SMOOTH)
 NUMBERS = ("rmse", "sway", "slack", "believed", "fallbacks", "cycles", "limited")
@@ -64,6 +68,12 @@ def latencies(robot: str) -> tuple[float, float]:
     return mine, theirs
 
 
+def training_time(network: str) -> float:
+    """Return the CPU time of a training, drives and regressions, by its table of rounds [s]."""
+    with find_network(network).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
+        return sum(float(row["cpu_s"]) for row in csv.DictReader(file))
+
+
 def rows_of(robot: str, label: str, mine: Sequence[Any], theirs: Sequence[Any]) -> list[list[str]]:
     """Return a row for each path: a network's drives beside MPC's on the same plants."""
     rows = []
@@ -100,12 +110,13 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     bundled = [BUNDLED[name] for name in asked.robots]
-    networks = bundled + asked.networks
+    seeds = bundled + [str(path) for path in sorted(OTHERS.glob("*.onnx"))]
+    networks = seeds + asked.networks
     loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
     every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}
     for name, description in loaded:
         if description.robot.name in every:
-            label = f"seed {description.seed}" if name in bundled else name
+            label = f"seed {description.seed}" if name in seeds else name
             every[description.robot.name].append((label, name))
     tasks = [
         Task(robot=robot, controller=CONTROLLER if policy else "mpc", path=path, seed=seed,
@@ -118,13 +129,17 @@ def main() -> None:
     with context.Pool(asked.processes) as pool:
         done = iter(pool.map(drive, tasks, chunksize=1))
     times = {robot: latencies(robot) for robot in asked.robots}
-    rows = []
+    rows, trainings = [], []
     for robot, those in every.items():
         groups = [
             [[next(done) for _ in range(asked.seeds)] for _ in PATHS] for _ in range(len(those) + 1)
         ]
         for (label, _), mine in zip(those, groups[1:], strict=True):
             rows += rows_of(robot, label, mine, groups[0])
+        trainings += [
+            [robot, label, f"{training_time(name) / 60.0:.1f}"]
+            for label, name in those if name in seeds
+        ]  # fmt: skip
     clocks = [
         [robot, f"{1e3 * mine:.3f}", f"{1e3 * theirs:.2f}", f"{theirs / mine:.1f}"]
         for robot, (mine, theirs) in times.items()
@@ -140,7 +155,9 @@ def main() -> None:
         "", table(header, rows), "",
         "CPU time of a command in the loop, median of a drive of each on one plant and path, one "
         "after the other:",
-        "", table(["robot", "network [ms]", "MPC [ms]", "ratio"], clocks),
+        "", table(["robot", "network [ms]", "MPC [ms]", "ratio"], clocks), "",
+        "CPU time of trainings, drives and regressions, as their tables of rounds have it:",
+        "", table(["robot", "network", "minutes"], trainings),
     ]  # fmt: skip
     write_section("approximate-mpc", TITLE, "python -m benchmarks.approximate_mpc", "\n".join(text))
 
