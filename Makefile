@@ -82,11 +82,9 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 	for robot in carosac scampi; do for preset in carosac residual; do \
 		$(BIN)/carosac train --preset $$preset --robot $$robot --seeds 3 --workers $(JOBS) \
 			--output $(RESULTS)/learning/$$robot-$$preset || exit; done; done
-	for seed in 0 1 2; do \
-		$(BIN)/carosac distill --seed $$seed --robot carosac --tension-share 0.6 \
-			--output $(RESULTS)/distilled/carosac-$$seed && \
-		$(BIN)/carosac distill --seed $$seed --robot scampi \
-			--output $(RESULTS)/distilled/scampi-$$seed || exit; done
+	for robot in carosac scampi; do for seed in 0 1 2; do \
+		$(BIN)/carosac distill --robot $$robot --seed $$seed \
+			--output $(RESULTS)/distilled/$$robot-$$seed || exit; done; done
 	$(BIN)/carosac train --preset residual --seed 9 --steps 256 --set environment.correction=0 \
 		--output $(RESULTS)/feedforward
 	$(BIN)/python -m benchmarks.learning --parts curves bars --runs $(RESULTS)/learning/*

@@ -76,10 +76,10 @@ class DistillationSettings:
         tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
-    drives: tuple[int, ...] = (30, 60, 80, 90)
-    updates: tuple[int, ...] = (8000, 8000, 8000, 40000)
+    drives: tuple[int, ...] = (30, 60, 80, 80)
+    updates: tuple[int, ...] = (5000, 5000, 5000, 40000)
     batch: int = 512
-    hidden: tuple[int, ...] = (128, 128, 128)
+    hidden: tuple[int, ...] = (192, 192, 128)
     rate: float = 1e-3
     tension_share: float = 1.0
 

@@ -49,11 +49,11 @@ class Options(DefaultRobotOptions):
     family: bool = False
     """Train the network of all suspended robots of four cables instead of that of a robot."""
     drives: int | None = None
-    """Drives of each of the four rounds: fewer for a first look. By default 30 to 90, a quarter of
+    """Drives of each of the four rounds: fewer for a first look. By default 30 to 80, a quarter of
     an hour on two cores. With --family 150 to 700, which takes an hour and a quarter."""
     updates: int | None = None
-    """Updates of the network after the last round; by default 40000. Earlier rounds take a fifth of
-    what is asked for."""
+    """Updates of the network after the last round; by default 40000. Earlier rounds take an eighth
+    of what is asked for."""
     tension_share: float | None = None
     """Share of the way to new tensions that a command goes, by default 1. Where cables are
     stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up. Always 0.9 with
@@ -132,7 +132,7 @@ def _asked(
     if options.drives is not None:
         asked[name] = (options.drives,) * len(drives)
     if options.updates is not None:
-        early = max(1, options.updates // 5)
+        early = max(1, options.updates // 8)
         asked["updates"] = (early,) * (len(updates) - 1) + (options.updates,)
     return asked
 
