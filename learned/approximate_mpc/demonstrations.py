@@ -91,7 +91,7 @@ class Demonstrations:
         excess: Sag less stretch that belong to them [m], shape (K, n).
         error: RMS distance from the reference in the drive [m]; NaN: it was given up.
         lost: Why, or nothing.
-        cpu_time: That the drive took [s].
+        cpu_time: CPU time of the drive [s].
     """
 
     numbers: Array
@@ -144,7 +144,7 @@ def demonstrate(
     rng = np.random.default_rng([*seed, 13])
     path = draw_path(robot, chosen, rng)
     condition = find_condition(chosen.condition)
-    controller = _Asking(robot, chosen, mpc, rng, network, reader or PlanNumbers(robot))
+    controller = _Asking(robot, chosen, mpc, rng, network, reader)
     kind = plugins.load("drivers", "simulator")
     start = path.sample(np.zeros(1)).position[0]
     driver_settings = replace(
@@ -249,14 +249,14 @@ class _Asking:
         mpc: MpcSettings,
         rng: np.random.Generator,
         network: PlanSource | None,
-        reader: PlanReader,
+        reader: PlanReader | None,
     ) -> None:
         self._robot, self._settings, self._rng = robot, settings, rng
         self._plan = None if network is None else network.planner(robot)
         share = 1.0 if network is None else network.tension_share
         self._follower = PlanFollower(robot, mpc, tension_share=share)
-        self._reader = reader
         self._teacher = Teacher(robot, mpc)
+        self._reader = reader or PlanNumbers(robot, self._teacher.settings.stages)
         self._targets = TargetReader(robot, self._teacher.grid, self._teacher.settings.distribution)
         self.period, self.horizon = self._follower.period, self._follower.horizon
         self._numbers: list[Array] = []
@@ -333,7 +333,7 @@ class _Asking:
         return excess_at(self._robot, position, rotation, plan.tension[0], geometry)
 
     def _keep(self, numbers: Array, tension: Array, excess: Array) -> None:
-        if np.isfinite(excess).all():
+        if np.isfinite(excess).all() and np.isfinite(numbers).all():
             self._numbers.append(numbers)
             self._tension.append(tension)
             self._excess.append(excess)

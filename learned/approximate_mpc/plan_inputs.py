@@ -13,8 +13,8 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.packed_function import Expressions, PackedFunction
 
-HALF_TURN = 1e-6  # 1 + trace of a rotation, which is 0 at half a turn, that no network has seen
-PULLED_EVERY = 2  # times of a plan, of the way and its velocity for which pulls are told
+HALF_TURN = 1e-12  # 1 + trace of a rotation, from which on rounding hides its axis
+PULLED_EVERY = 2  # of so many times of a plan, one has its pulls told
 DAMPING = 1e-3  # of pulls: cables in one plane pull nothing out of it
 
 
@@ -103,54 +103,50 @@ def _blocks(robot: Robot, stages: int) -> tuple[tuple[str, int], ...]:
 class PlanNumbers:
     """Turns inputs into the numbers that a network reads, for one robot.
 
-    Beside the inputs, they are what a network would have to multiply: directions and lengths of the
-    cables, taken as straight, what accelerations usual tensions give (`free` and `turning`), least
-    tensions that add up to a part of the way, of its velocity or of an acceleration (`pulls`), and
-    how fast the platform turns along each cable (`levers`).
+    Beside the inputs, they are what a network would have to multiply: directions and distances of
+    the exit points, what accelerations usual tensions give along these (`free` and `turning`),
+    least tensions that add up to a part of the way, of its velocity or of an acceleration
+    (`pulls`), and how fast the platform turns along each cable (`levers`). Pulleys and cables that
+    ride along are left out of them: they are hints, and plans follow from the equations of MPC.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        """Take the robot."""
+    def __init__(self, robot: Robot, stages: int) -> None:
+        """Build the function for a robot and plans of some stages."""
         self._robot = robot
-        self._share = robot.n / robot.weight
-        self._functions: dict[int, PackedFunction] = {}
+        self._function = PackedFunction(*_numbers(robot, stages + 1), "never")
 
     def count(self, stages: int) -> int:
         """Return how many numbers these are, for a plan of some stages."""
         return input_count(self._robot, stages)
 
     def of(self, inputs: PlanInputs) -> Array:
-        """Return the numbers, in units of the robot where they have any."""
-        times = len(inputs.target)
-        function = self._functions.get(times)
-        if function is None:
-            built = _numbers(self._robot, times)
-            function = self._functions[times] = PackedFunction(*built, "never")
-        return function(
+        """Return the numbers (m,), in units of the robot where they have any."""
+        return self._function(
             inputs.position, inputs.rotation.ravel(), inputs.twist, inputs.target.ravel(),
             inputs.target_velocity.ravel(), inputs.center, inputs.acceleration,
             inputs.usual_tension, inputs.usual_place,
         )  # fmt: skip
 
-    def usual_tension(self, numbers: Array) -> Array:
-        """Return the usual tensions [N] (..., n) that are in numbers (..., m)."""
-        return np.asarray(numbers[..., : self._robot.n] / self._share)
+
+def usual_tension(robot: Robot, numbers: Array) -> Array:
+    """Return the usual tensions [N] (..., n) that are in numbers (..., m) of `PlanNumbers`."""
+    return np.asarray(numbers[..., : robot.n] * (robot.weight / robot.n))
 
 
 def _numbers(robot: Robot, times: int) -> Expressions:
     """Return inputs and numbers, in the order of `_blocks`, for a plan of so many times."""
     import casadi as ca
 
-    position, velocity, spin, center, push, moment, place = (ca.SX.sym("x", 3) for _ in range(7))
-    turn, target, faster = ca.SX.sym("r", 9), ca.SX.sym("w", 3 * times), ca.SX.sym("v", 3 * times)
+    position, velocity, spin, center, push, turned, place = (ca.SX.sym("x", 3) for _ in range(7))
+    turn, target, speed = ca.SX.sym("r", 9), ca.SX.sym("w", 3 * times), ca.SX.sym("v", 3 * times)
     usual = ca.SX.sym("t", robot.n)
     rotation = ca.reshape(turn, 3, 3).T  # it was told row by row
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
     half = 0.5 * (robot.workspace_max - robot.workspace_min)
     arms = ca.DM(robot.anchor_points) @ rotation.T
     chord = ca.DM(robot.exit_points) - ca.repmat(position.T, robot.n, 1) - arms
-    length = ca.sqrt(ca.sum2(chord**2))
-    along = chord / ca.repmat(length, 1, 3)
+    distance = ca.sqrt(ca.sum2(chord**2))
+    along = chord / ca.repmat(distance, 1, 3)
     offset = rotation @ (ca.DM(robot.center_of_mass) + center)
     levers = ca.vertcat(*(
         ca.cross(arms[i, :].T - offset, along[i, :].T).T for i in range(robot.n)
@@ -159,29 +155,30 @@ def _numbers(robot: Robot, times: int) -> Expressions:
     inverse = rotation @ ca.DM(np.linalg.inv(robot.inertia)) @ rotation.T
     turning = inverse @ (levers.T @ usual)
     way = ca.reshape(target, 3, times) - ca.repmat(position, 1, times)
-    ahead = ca.reshape(faster, 3, times) - ca.repmat(velocity, 1, times)
+    faster = ca.reshape(speed, 3, times) - ca.repmat(velocity, 1, times)
     some = list(range(0, times, PULLED_EVERY))
-    pulled = ca.horzcat(way[:, some], ahead[:, some], push, free + push)
+    pulled = ca.horzcat(way[:, some], faster[:, some], push, free + push)
     least = along @ ca.solve(along.T @ along + DAMPING * ca.DM.eye(3), pulled)
     numbers = [
         usual * (robot.n / robot.weight), (position - middle) / half,
         _small_turn(rotation @ ca.DM(robot.home_rotation.T)), velocity, spin,
-        ca.vec(way), ca.vec(ahead), center, push, moment, place, ca.vec(along),
-        ca.log(length / Scales(robot).length), free, turning, ca.vec(least),
-        levers @ spin, levers @ turning, levers @ moment, along @ ahead[:, 0],
+        ca.vec(way), ca.vec(faster), center, push, turned, place, ca.vec(along),
+        ca.log(distance / Scales(robot).length), free, turning, ca.vec(least),
+        levers @ spin, levers @ turning, levers @ turned, along @ faster[:, 0],
     ]  # fmt: skip
     inputs = [
-        position, turn, ca.vertcat(velocity, spin), target, faster, center,
-        ca.vertcat(push, moment), usual, place,
+        position, turn, ca.vertcat(velocity, spin), target, speed, center,
+        ca.vertcat(push, turned), usual, place,
     ]  # fmt: skip
     return "numbers", inputs, numbers
 
 
 def _small_turn(rotation: Any) -> Any:
-    """Return the modified Rodrigues parameters (3,) of less than half a turn."""
+    """Return the modified Rodrigues parameters (3,); NaN, which is refused, at half a turn."""
     import casadi as ca
 
-    root = ca.sqrt(ca.fmax(1.0 + ca.trace(rotation), HALF_TURN))  # its half is the scalar part
+    square = 1.0 + ca.trace(rotation)
+    root = ca.sqrt(ca.if_else(square > HALF_TURN, square, np.nan))  # twice the scalar part
     vector = ca.vertcat(
         rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0],
         rotation[1, 0] - rotation[0, 1],

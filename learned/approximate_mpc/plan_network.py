@@ -15,7 +15,12 @@ from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.numbers import check_positive, check_whole
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.perceptron import ACTIVATION, Perceptron, perceptron_of
-from learned.approximate_mpc.plan_inputs import PlanCallback, PlanNumbers, input_count
+from learned.approximate_mpc.plan_inputs import (
+    PlanCallback,
+    PlanNumbers,
+    input_count,
+    usual_tension,
+)
 from learned.policy_controller import differing_fields
 from learned.policy_file import (
     OpenedNetwork,
@@ -85,10 +90,8 @@ class PlanNetwork:
         self.tension_share = description.training["tension_share"]
         check_share("tension_share", self.tension_share)
         robot = description.robot
-        n = self._n = robot.n
-        self._scale = np.repeat([description.tension_scale, description.excess_scale], n)
+        self._scale = np.repeat([description.tension_scale, description.excess_scale], robot.n)
         self._least, self._most = robot.tension_min, robot.tension_max
-        self._numbers = PlanNumbers(robot)
 
     @classmethod
     def load(cls, path: str | Path) -> PlanNetwork:
@@ -131,9 +134,9 @@ class PlanNetwork:
         Raises:
             InvalidField: One of them is not finite, or far from all that a robot does.
         """
-        told = self._scale * self._tell(numbers)
-        tension = self._numbers.usual_tension(numbers) + told[: self._n]
-        return np.minimum(np.maximum(tension, self._least), self._most), told[self._n :]
+        change, excess = np.split(self._scale * self._tell(numbers), 2)
+        tension = usual_tension(self.description.robot, numbers) + change
+        return np.minimum(np.maximum(tension, self._least), self._most), excess
 
     def settings_of(self, robot: Robot) -> MpcSettings:
         """Return the settings of MPC; they are of the robot that it was trained for."""
@@ -141,7 +144,8 @@ class PlanNetwork:
 
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""
-        return lambda inputs: self.plan(self._numbers.of(inputs))
+        numbers = PlanNumbers(robot, self.settings.stages)
+        return lambda inputs: self.plan(numbers.of(inputs))
 
     def check(self, robot: Robot) -> None:
         """Refuse a robot that the network was not trained for.

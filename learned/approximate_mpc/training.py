@@ -32,8 +32,9 @@ from learned.approximate_mpc.demonstrations import (
     demonstrate,
 )
 from learned.approximate_mpc.perceptron import Perceptron
-from learned.approximate_mpc.plan_inputs import PlanNumbers, input_units
+from learned.approximate_mpc.plan_inputs import input_units, usual_tension
 from learned.approximate_mpc.plan_network import (
+    PLAN_SCHEMA,
     PlanDescription,
     PlanNetwork,
     check_share,
@@ -55,7 +56,7 @@ from learned.approximate_mpc.rounds import (
 from learned.policy_file import record_of
 from learned.policy_network import Layers
 
-MARGIN = 2.0  # times the largest change that was met, and sag less stretch: of an output of 1
+MARGIN = 2.0  # of an output of 1: times the largest change, or sag less stretch, that was met
 SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
 TABLE_COLUMNS = (
     "round", "drives", "samples", "lost", "drive_error_m", "trained_error_N", "held_out_error_N",
@@ -135,7 +136,7 @@ def distill(
     teacher, _ = settings_for(robot, mpc or MpcSettings())
     begin(folder, {
         "robot": record_of(robot), "seed": seed, "training": asdict(chosen),
-        "demonstrations": asdict(driven), "mpc": settings_record(teacher),
+        "demonstrations": asdict(driven), "mpc": settings_record(teacher), "schema": PLAN_SCHEMA,
     })  # fmt: skip
 
     def fit(
@@ -223,7 +224,7 @@ def _fit(
     if not len(numbers) or held.all():
         why = next((part.lost for part in parts if part.lost), "too few drives")
         raise CarosacError(f"distillation: MPC gave no answers that can be learned from ({why})")
-    change = tension - PlanNumbers(robot).usual_tension(numbers)
+    change = tension - usual_tension(robot, numbers)
     tension_scale, excess_scale = (MARGIN * float(np.abs(x).max()) for x in (change, excess))
     wanted = np.hstack([change / tension_scale, excess / excess_scale])
     unit = np.repeat([robot.weight / robot.n / tension_scale, 0.1], robot.n)

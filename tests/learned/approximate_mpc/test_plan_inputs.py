@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -11,6 +12,8 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.mpc import model
 from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.similar import similar_robot
 from learned.approximate_mpc.plan_inputs import (
     DAMPING,
     PULLED_EVERY,
@@ -18,6 +21,8 @@ from learned.approximate_mpc.plan_inputs import (
     PlanNumbers,
     _blocks,
     input_count,
+    input_units,
+    usual_tension,
 )
 from tests.robots import hanging
 
@@ -46,8 +51,9 @@ def told(request):
         usual_tension=robot.weight / robot.n * rng.uniform(0.5, 2.0, robot.n),
         usual_place=rng.normal(size=3),
     )
-    numbers = PlanNumbers(robot).of(inputs)
-    assert len(numbers) == input_count(robot, STAGES) == PlanNumbers(robot).count(STAGES)
+    reader = PlanNumbers(robot, STAGES)
+    numbers = reader.of(inputs)
+    assert len(numbers) == input_count(robot, STAGES) == reader.count(STAGES)
     edges = [0, *accumulate(count for _, count in _blocks(robot, STAGES))]
     parts = {name: numbers[a:b] for name, (a, b) in zip(NAMES, pairwise(edges), strict=True)}
     return robot, inputs, parts
@@ -73,7 +79,7 @@ def test_inputs_are_told_from_the_platform(told):
 def test_usual_tensions_are_read_back(told):
     robot, inputs, parts = told
     numbers = np.concatenate([*parts.values()])
-    found = PlanNumbers(robot).usual_tension(np.stack([numbers, 2.0 * numbers]))
+    found = usual_tension(robot, np.stack([numbers, 2.0 * numbers]))
     assert found == pytest.approx(np.stack([inputs.usual_tension, 2.0 * inputs.usual_tension]))
 
 
@@ -95,7 +101,11 @@ def test_pulls_add_up_to_what_they_are_of(told):
     along = parts["along"].reshape(3, -1).T
     assert np.linalg.norm(along, axis=1) == pytest.approx(np.ones(robot.n))
     way = parts["way"].reshape(-1, 3)[::PULLED_EVERY]
-    total = parts["pulls_way"].reshape(-1, robot.n) @ along
+    pulls = parts["pulls_way"].reshape(-1, robot.n)
+    assert pulls == pytest.approx(
+        way @ np.linalg.pinv(along), abs=50.0 * DAMPING * np.abs(pulls).max()
+    )  # the least ones
+    total = pulls @ along
     assert total == pytest.approx(way, abs=50.0 * DAMPING * np.abs(way).max())
     accelerations = np.stack([parts["push"], parts["free"] + parts["push"]])
     total = parts["pulls"].reshape(-1, robot.n) @ along
@@ -115,3 +125,43 @@ def test_rates_are_those_of_anchor_points_along_their_cables(told):
         expected = np.einsum("ij,ij->i", np.cross(spin, arms), along)
         assert rate == pytest.approx(expected, rel=1e-9, abs=1e-9)
     assert parts["behind"] == pytest.approx(along @ parts["faster"][:3])
+
+
+def test_a_robot_of_another_size_has_the_same_numbers_in_its_units(told):
+    robot, inputs, parts = told
+    small = similar_robot(robot, 0.1)
+    length = Scales(small).length / Scales(robot).length
+    time = Scales(small).time / Scales(robot).time
+    place = small.workspace_min - length * robot.workspace_min
+    scaled = replace(
+        inputs,
+        position=place + length * inputs.position,
+        twist=inputs.twist * np.repeat([length / time, 1.0 / time], 3),
+        target=place + length * inputs.target,
+        target_velocity=length / time * inputs.target_velocity,
+        center=length * inputs.center,
+        acceleration=inputs.acceleration * np.repeat([length / time**2, 1.0 / time**2], 3),
+        usual_tension=small.weight / robot.weight * inputs.usual_tension,
+        usual_place=length * inputs.usual_place,
+    )
+    found = PlanNumbers(small, STAGES).of(scaled)
+    expected = np.concatenate([*parts.values()]) * input_units(small, STAGES)
+    assert found == pytest.approx(expected / input_units(robot, STAGES), abs=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 3.0, 3.1412, np.pi])
+def test_a_turn_is_told_right_or_refused(angle):
+    robot = ct.load_robot("carosac")
+    turned = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
+    still = np.zeros((STAGES + 1, 3))
+    inputs = PlanInputs(
+        position=robot.home_position, rotation=turned @ robot.home_rotation, twist=np.zeros(6),
+        target=still, target_velocity=still, center=np.zeros(3), acceleration=np.zeros(6),
+        usual_tension=np.ones(robot.n), usual_place=np.zeros(3),
+    )  # fmt: skip
+    numbers = PlanNumbers(robot, STAGES).of(inputs)
+    found = numbers[robot.n + 3 : robot.n + 6]
+    if angle == np.pi:
+        assert np.isnan(found).all()
+    else:
+        assert found == pytest.approx([np.tan(angle / 4.0), 0.0, 0.0], abs=1e-6)

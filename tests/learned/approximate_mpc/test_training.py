@@ -18,7 +18,7 @@ from learned.approximate_mpc.demonstrations import (
     DemonstrationSettings,
     draw_resting,
 )
-from learned.approximate_mpc.plan_inputs import PlanNumbers, input_count, input_units
+from learned.approximate_mpc.plan_inputs import input_count, input_units, usual_tension
 from learned.approximate_mpc.plan_network import (
     PlanNetwork,
     write_plan_network,
@@ -63,6 +63,14 @@ def _without_time(path):
     return [line.rsplit(",", 1)[0] for line in path.read_text().splitlines()]
 
 
+def test_the_table_has_the_cpu_time_of_drives_and_regression(folder):
+    told = [line.rsplit(",", 1)[1] for line in (folder / "rounds.csv").read_text().splitlines()]
+    drives = [Demonstrations.load(path).cpu_time for path in sorted(folder.glob("drive-*.npz"))]
+    assert told[0] == "cpu_s"
+    assert float(told[1]) > drives[0] + drives[1] > 0.0
+    assert float(told[2]) > drives[2]
+
+
 def test_a_training_that_was_killed_goes_on_as_if_it_had_not(robot, folder):
     whole = (folder / "network.onnx").read_bytes()
     table = _without_time(folder / "rounds.csv")
@@ -94,7 +102,7 @@ def test_numpy_runs_a_network_as_onnxruntime_does(robot, folder):
     session = open_network(folder / "network.onnx", "a network").session
     drawn = np.random.default_rng(0).standard_normal((20, input_count(robot, 20)))
     for numbers in (*drawn, *(1e3 * drawn)):
-        usual = PlanNumbers(robot).usual_tension(numbers)
+        usual = usual_tension(robot, numbers)
         (told,) = session.run(["action"], {"observation": numbers[None].astype(np.float32)})
         tension, excess = network.plan(numbers)
         wanted = usual + network.description.tension_scale * told[0, : robot.n]
