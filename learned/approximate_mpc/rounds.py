@@ -21,7 +21,6 @@ from learned.policy_network import Layers
 
 SETTINGS_FILE, TABLE_FILE, NETWORK_FILE = "settings.json", "rounds.csv", "network.onnx"
 HELD_OUT_EVERY = 12  # one drive of so many is not trained on
-HUBER = 0.1  # of the scale of what is told: larger errors count linearly
 REPORT_EVERY = 500  # updates
 CountCallback = Callable[[int, int], None]
 ProgressCallback = Callable[[str, int, int], None]
@@ -146,6 +145,7 @@ class Regression:
         batch: Samples of an update.
         rate: Learning rate at the start; it falls to 0 by a cosine.
         decay: Of weights, decoupled from the gradient.
+        huber: Of the scale of what is told: larger errors count linearly.
         seed: Of first weights and batches.
     """
 
@@ -155,6 +155,7 @@ class Regression:
     rate: float
     seed: int
     decay: float = 0.0
+    huber: float = 0.1
 
 
 def regress(
@@ -205,7 +206,7 @@ def regress(
             order, sign, out = ways[k % len(ways)]
             rows, wanted = rows[:, order] * sign, wanted[:, out]
         off = (network((rows - middle) / width) - wanted) / unit
-        loss = torch.nn.functional.smooth_l1_loss(off, torch.zeros_like(off), beta=HUBER)
+        loss = torch.nn.functional.smooth_l1_loss(off, torch.zeros_like(off), beta=settings.huber)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
