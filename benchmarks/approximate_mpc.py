@@ -24,12 +24,13 @@ import numpy as np
 
 from benchmarks.controllers import MOVES, SMOOTH, Task, score
 from benchmarks.results import table, write_section
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import replacing
 from learned.approximate_mpc.networks import BUNDLED, find_network
 from learned.approximate_mpc.plan_network import PlanNetwork
 
 KEPT = Path(__file__).parent / "approximate_mpc.parts"
-OTHERS = Path(__file__).parent / "plans"  # of other seeds than those of the bundled networks
+OTHER_SEEDS = Path(__file__).parent / "plans"
 TITLE, CONTROLLER = "Approximate MPC", "approximate_mpc"
 PATHS = (*MOVES, SMOOTH)
 NUMBERS = ("rmse", "sway", "slack", "believed", "fallbacks", "cycles", "limited")
@@ -69,9 +70,34 @@ def latencies(robot: str) -> tuple[float, float]:
 
 
 def training_time(network: str) -> float:
-    """Return the CPU time of a training, drives and regressions, by its table of rounds [s]."""
-    with find_network(network).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
-        return sum(float(row["cpu_s"]) for row in csv.DictReader(file))
+    """Return the CPU time of a training, drives and regressions, by its table of rounds [s].
+
+    Raises:
+        InvalidField: There is no table with such a column beside the network.
+    """
+    path = find_network(network).with_suffix(".csv")
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return sum(float(row["cpu_s"]) for row in csv.DictReader(file))
+    except (OSError, KeyError) as error:
+        allowed = "the table of rounds of the network beside it, with cpu_s"
+        raise InvalidField("training", path, allowed) from error
+
+
+def check_alike(networks: Sequence[str]) -> None:
+    """Refuse networks of one robot that differ in more than the seed of their training.
+
+    Raises:
+        InvalidField: Some do.
+    """
+    first: dict[str, tuple[str, Any]] = {}
+    for network in networks:
+        path = find_network(network).with_suffix(".json")
+        settings = json.loads(path.read_text(encoding="utf-8"))
+        del settings["seed"]
+        other, same = first.setdefault(settings["robot"]["name"], (network, settings))
+        if settings != same:
+            raise InvalidField("network", network, f"one trained with the settings of {other}")
 
 
 def rows_of(robot: str, label: str, mine: Sequence[Any], theirs: Sequence[Any]) -> list[list[str]]:
@@ -110,7 +136,9 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     bundled = [BUNDLED[name] for name in asked.robots]
-    seeds = bundled + [str(path) for path in sorted(OTHERS.glob("*.onnx"))]
+    seeds = bundled + [str(path) for path in sorted(OTHER_SEEDS.glob("*.onnx"))]
+    check_alike(seeds)
+    spent = {name: training_time(name) for name in seeds}
     networks = seeds + asked.networks
     loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
     every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}
@@ -137,8 +165,8 @@ def main() -> None:
         for (label, _), mine in zip(those, groups[1:], strict=True):
             rows += rows_of(robot, label, mine, groups[0])
         trainings += [
-            [robot, label, f"{training_time(name) / 60.0:.1f}"]
-            for label, name in those if name in seeds
+            [robot, label, f"{spent[name] / 60.0:.1f}"]
+            for label, name in those if name in spent
         ]  # fmt: skip
     clocks = [
         [robot, f"{1e3 * mine:.3f}", f"{1e3 * theirs:.2f}", f"{theirs / mine:.1f}"]
