@@ -35,6 +35,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
 from learned.approximate_mpc.controller import PlanFollower
+from learned.approximate_mpc.elsewhere import elsewhere
 from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers, PlanReader, PlanSource
 from learned.approximate_mpc.teacher import Teacher
 
@@ -58,6 +59,8 @@ class DemonstrationSettings:
         acceleration_max: The same [m/s^2].
         every: Answers are kept once in so many commands.
         nearby: Further questions each time, about states near the one that was met.
+        elsewhere: Further questions of a drive, about states near some that were met, carried to
+            other places with another centre of mass.
         place_spread: Of these, one sigma per axis [m].
         turn_spread: The same of rotations [rad].
         speed_spread: Of velocities [m/s].
@@ -73,6 +76,7 @@ class DemonstrationSettings:
     acceleration_max: float = Scaled(3.0, "m/s^2")
     every: int = 3
     nearby: int = 2
+    elsewhere: int = 180
     place_spread: float = Scaled(0.015, "m")
     turn_spread: float = 0.015
     speed_spread: float = Scaled(0.08, "m/s")
@@ -172,6 +176,7 @@ def demonstrate(
         assert log.position is not None
         away = np.linalg.norm(log.position - log.reference, axis=2)
         error = float(np.sqrt((away**2).mean()))
+    controller.ask_elsewhere(condition.of(robot).center_of_mass)
     return controller.demonstrations(error, lost, time.process_time() - began)
 
 
@@ -262,6 +267,7 @@ class _Asking:
         self._numbers: list[Array] = []
         self._tension: list[Array] = []
         self._excess: list[Array] = []
+        self._met: list[PlanInputs] = []
         self._count = 0
 
     def reset(self, belief: Belief) -> None:
@@ -288,6 +294,7 @@ class _Asking:
             plan = self._ask(inputs, rest, habit, now)
             tension, excess = plan.tension[0], self._excess_of(plan)
         if kept:
+            self._met.append(inputs)
             self._keep(self._reader.of(inputs), tension, excess)
             self._ask_nearby(inputs, rest, habit, now)
         if self._plan is not None:
@@ -297,6 +304,21 @@ class _Asking:
         self._count += 1
         sent = self._follower.follow(inputs, tension, excess)
         return Command(time=belief.time, unstrained_length=sent[None])
+
+    def ask_elsewhere(self, spread: float) -> None:
+        """Ask about states that were met, at other places with another centre of mass.
+
+        Args:
+            spread: One sigma of the centre of mass, per axis [m].
+        """
+        count, rng = self._settings.elsewhere, self._rng
+        if not count or not self._met:
+            return
+        for it in elsewhere(self._robot, self._met, count, spread, self._teacher.grid, rng):
+            near = nearby(it.inputs, self._settings, rng)
+            plan = self._teacher.ask_anew(near, it.rest, it.habit, it.surplus)
+            if plan is not None:
+                self._keep(self._reader.of(near), plan.tension[0], self._excess_of(plan))
 
     def demonstrations(self, error: float, lost: str, cpu_time: float) -> Demonstrations:
         """Return all answers."""

@@ -57,7 +57,7 @@ SPEED_MAX, ACCELERATION_MAX = 0.25, 0.35  # in sqrt(g L), and g
 SPIN_SPREAD, MOMENT_SPREAD = 0.03, 0.01  # in sqrt(g / size of the platform), and its square
 SIMULATED_TIME = 8.0  # of a path at most, in sqrt(L / g)
 ANSWERS = 160  # of a simulated drive, about; each with those nearby
-DRIVES = DemonstrationSettings(condition="nominal-2", nearby=1)
+DRIVES = DemonstrationSettings(condition="nominal-2", nearby=1, elsewhere=0)
 TABLE_COLUMNS = (
     "round", "robots", "samples", "lost", "drive_error", "trained_error", "held_out_error"
 )  # fmt: skip

@@ -65,6 +65,17 @@ class Teacher:
             self._plan = plan
         return plan
 
+    def ask_anew(
+        self, inputs: PlanInputs, rest: Array, habit: Array, surplus: Array
+    ) -> Plan | None:
+        """Return the plan from a state, begun with rest; arguments as of `ask`."""
+        kept, self._plan = self._plan, None
+        plan = self.ask_aside(
+            inputs, rest, habit, surplus, 0.0, iterations=COLD_START_ITERATIONS
+        )  # fmt: skip
+        self._plan = kept
+        return plan
+
     def ask_aside(
         self, inputs: PlanInputs, rest: Array, habit: Array, surplus: Array, time: float, *,
         iterations: int = 1,
