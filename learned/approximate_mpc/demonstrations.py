@@ -76,7 +76,7 @@ class DemonstrationSettings:
     acceleration_max: float = Scaled(3.0, "m/s^2")
     every: int = 3
     nearby: int = 2
-    elsewhere: int = 180
+    elsewhere: int = 90
     place_spread: float = Scaled(0.015, "m")
     turn_spread: float = 0.015
     speed_spread: float = Scaled(0.08, "m/s")

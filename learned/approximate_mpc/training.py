@@ -80,7 +80,7 @@ class DistillationSettings:
         tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
-    drives: tuple[int, ...] = (30, 50, 70, 70)
+    drives: tuple[int, ...] = (25, 45, 65, 65)
     updates: tuple[int, ...] = (5000, 5000, 5000, 40000)
     batch: int = 512
     hidden: tuple[int, ...] = (192, 192, 128)
