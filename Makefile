@@ -93,7 +93,7 @@ learning: $(STAMP)  ## train every preset but `paper` anew, some hours, and meas
 		$(RESULTS)/learning/*-residual/*/realtime/policy.onnx
 	$(BIN)/python -m benchmarks.learning --parts inference low
 	$(BIN)/python -m benchmarks.approximate_mpc --networks \
-		$(RESULTS)/distilled/*/network.onnx
+		$(RESULTS)/distilled/*-[0-9]/network.onnx
 	$(BIN)/python -m benchmarks.figures --write
 
 docs: $(STAMP)  ## build the documentation into docs/_build

@@ -78,26 +78,39 @@ def training_time(network: str) -> float:
     path = find_network(network).with_suffix(".csv")
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            return sum(float(row["cpu_s"]) for row in csv.DictReader(file))
-    except (OSError, KeyError) as error:
+            times = [float(row["cpu_s"]) for row in csv.DictReader(file)]
+    except (OSError, KeyError, TypeError, ValueError) as error:
         allowed = "the table of rounds of the network beside it, with cpu_s"
         raise InvalidField("training", path, allowed) from error
+    if not times:
+        raise InvalidField("training", f"{path} without rounds", "at least one")
+    return sum(times)
 
 
 def check_alike(networks: Sequence[str]) -> None:
-    """Refuse networks of one robot that differ in more than the seed of their training.
+    """Refuse networks of one robot that differ in more, or less, than the seed of their training.
 
     Raises:
-        InvalidField: Some do.
+        InvalidField: Some do, or there are no settings beside one.
     """
     first: dict[str, tuple[str, Any]] = {}
+    seeds = set()
     for network in networks:
         path = find_network(network).with_suffix(".json")
-        settings = json.loads(path.read_text(encoding="utf-8"))
-        del settings["seed"]
-        other, same = first.setdefault(settings["robot"]["name"], (network, settings))
-        if settings != same:
-            raise InvalidField("network", network, f"one trained with the settings of {other}")
+        try:
+            settings = json.loads(path.read_text(encoding="utf-8"))
+            robot, seed = settings["robot"]["name"], settings.pop("seed")
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            allowed = "the settings of the network's training beside it"
+            raise InvalidField("training", path, allowed) from error
+        other, same = first.setdefault(robot, (network, settings))
+        names = [k for k in {*settings, *same} if settings.get(k) != same.get(k)]
+        if names:
+            allowed = f"one trained as {other}, but for the seed"
+            raise InvalidField("network", f"{network} with another {' and '.join(names)}", allowed)
+        if (robot, seed) in seeds:
+            raise InvalidField("network", f"{network} of seed {seed} again", "another seed")
+        seeds.add((robot, seed))
 
 
 def rows_of(robot: str, label: str, mine: Sequence[Any], theirs: Sequence[Any]) -> list[list[str]]:

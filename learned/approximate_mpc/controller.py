@@ -47,13 +47,14 @@ from learned.approximate_mpc.bounce_guard import BOUNCE_MAX, BounceGuard
 from learned.approximate_mpc.family_network import FamilyNetwork
 from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.networks import load_network, network_for
-from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs
+from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs, UnreadableInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
 
 APART = "lengths apart from the belief"
+UNREADABLE = "a state that no network can read"
 # Of the longest cable, by which lengths change before the part of it that rides along is renewed.
 RIDING_SHARE = 0.03
 NO_TURN = np.zeros(3)  # of a state about the believed rotation
@@ -436,14 +437,19 @@ class ApproximateMpc:
         inputs, reason = self._follower.look(belief, reference)
         if not reason and self._follower.bounce > BOUNCE_MAX:  # training drives go on, to learn
             reason = BOUNCING
+        planned = None
+        if not reason:
+            try:
+                planned = self._plan(inputs)
+            except UnreadableInputs:
+                reason = UNREADABLE
         reasons = {0: reason} if reason else {}
         self._fallback.decide(reasons, belief)
-        idle = bool(reason) or bool(self._fallback.active[0])
-        if idle:
+        idle = planned is None or bool(self._fallback.active[0])
+        if planned is None or idle:
             length = self._follower.braked
         else:
-            tension, excess = self._plan(inputs)
-            length = self._follower.follow(inputs, tension, excess)
+            length = self._follower.follow(inputs, *planned)
         sent = self._fallback.command(length[None], belief, reference, reasons)
         if idle:
             self._follower.note(sent[0])

@@ -23,6 +23,7 @@ from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.extras import MissingExtra
+from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
@@ -36,7 +37,14 @@ from carosac_toolkit.safety.settled import settled
 from carosac_toolkit.trajectories import Trajectory
 from learned.approximate_mpc.controller import PlanFollower
 from learned.approximate_mpc.elsewhere import elsewhere
-from learned.approximate_mpc.plan_inputs import PlanInputs, PlanNumbers, PlanReader, PlanSource
+from learned.approximate_mpc.plan_inputs import (
+    INPUT_MAX,
+    PlanInputs,
+    PlanNumbers,
+    PlanReader,
+    PlanSource,
+    UnreadableInputs,
+)
 from learned.approximate_mpc.teacher import Teacher
 
 CALM_TIME = Scaled(2.5, "s")  # of holding still behind a path
@@ -61,7 +69,7 @@ class DemonstrationSettings:
         nearby: Further questions each time, about states near the one that was met.
         elsewhere: Further questions of a drive, about states near some that were met, carried to
             other places with another centre of mass.
-        place_spread: Of these, one sigma per axis [m].
+        place_spread: Of states near another, one sigma per axis [m].
         turn_spread: The same of rotations [rad].
         speed_spread: Of velocities [m/s].
         spin_spread: Of angular velocities [rad/s].
@@ -83,6 +91,11 @@ class DemonstrationSettings:
     spin_spread: float = Scaled(0.05, "rad/s")
     push_spread: float = Scaled(0.1, "m/s^2")
     moment_spread: float = Scaled(0.1, "rad/s^2")
+
+    def __post_init__(self) -> None:
+        """Refuse counts that make no sense."""
+        for name, least in (("every", 1), ("nearby", 0), ("elsewhere", 0)):
+            check_whole(name, getattr(self, name), least)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -298,7 +311,10 @@ class _Asking:
             self._keep(self._reader.of(inputs), tension, excess)
             self._ask_nearby(inputs, rest, habit, now)
         if self._plan is not None:
-            tension, excess = self._plan(inputs)
+            try:
+                tension, excess = self._plan(inputs)
+            except UnreadableInputs as error:
+                raise Lost(f"the drive is lost: {error}") from error
         share = self._follower.habit_share
         self._usual_rest = self._usual_rest + share * (rest[0] - self._usual_rest)
         self._count += 1
@@ -355,7 +371,7 @@ class _Asking:
         return excess_at(self._robot, position, rotation, plan.tension[0], geometry)
 
     def _keep(self, numbers: Array, tension: Array, excess: Array) -> None:
-        if np.isfinite(excess).all() and np.isfinite(numbers).all():
+        if np.isfinite(excess).all() and np.abs(numbers).max() <= INPUT_MAX:
             self._numbers.append(numbers)
             self._tension.append(tension)
             self._excess.append(excess)

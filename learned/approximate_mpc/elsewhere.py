@@ -1,7 +1,7 @@
 """States of a drive carried to other places, with another centre of mass.
 
 A drive sees one path and one plant. What a plan depends on beside these, the way ahead, the sway
-and what tensions have been used to, is met as well anywhere else; so each of its states becomes
+and the forces of the last half second, is met as well anywhere else; so states of a drive become
 questions to MPC that need neither a simulator nor an estimator.
 """
 
@@ -27,13 +27,13 @@ CENTERS_MAX = 2.0  # standard deviations of the centre of mass, drawn evenly wit
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Question:
-    """What `Teacher.ask_aside` needs.
+    """What `Teacher.ask_anew` needs.
 
     Attributes:
         inputs: State, reference and load.
         rest: Tensions of rest, per stage [N], shape (N, n).
         habit: What tensions differ by from those of rest in the long run [N], shape (n,).
-        surplus: What lengths sent exceed straight ones by [m], shape (n,).
+        surplus: Sag less stretch under usual tensions [m], shape (n,).
     """
 
     inputs: PlanInputs
@@ -52,8 +52,10 @@ def elsewhere(
 ) -> Iterator[Question]:
     """Carry some states of one drive elsewhere, those at which both robots can rest.
 
-    Each is moved, and turned about the vertical, so that the way ahead stays within the box. The
-    platform hangs there as it rests, and tensions differ from those of rest by as much as they did.
+    Each is moved, and turned about the vertical, so that the way of the last half second and the
+    way ahead stay within the box. The platform hangs there as it rests, but for the turn by which
+    it did not hang so; usual tensions are those of rest and, besides, pull as they did, turned. The
+    belief in the centre of mass is off by as much as it was.
 
     Args:
         robot: The nominal robot, of fewer than six cables.
@@ -67,45 +69,44 @@ def elsewhere(
     new = CENTERS_MAX * spread * rng.uniform(-1.0, 1.0, 3)
     carried = []
     for k in rng.choice(len(met), size=min(count, len(met)), replace=False):
-        there = _carried(robot, met[k], new - own, rng)
-        if there is not None:
-            carried.append((met[k], there))
+        found = _carried(robot, met[k], new - own, rng)
+        if found is not None:
+            carried.append((met[k], *found))
     if not carried:
         return
-    usual_place = np.array([[_usual_place(inputs) for inputs in pair] for pair in carried])
-    ends = np.array([there.target[[0, -1]] for _, there in carried])
-    rest = _rest(robot, np.concatenate([ends[:, 0], ends[:, 1], usual_place[:, 1]]), np.zeros(3))
-    loaded = _rest(robot, np.concatenate([ends[:, 0], usual_place[:, 1]]), new)
-    before = _rest(robot, usual_place[:, 0], own)
-    first, last, nominal = np.split(rest.tension, 3)
-    hanging, (_, used) = np.split(loaded.rotation, 2)[0], np.split(loaded.tension, 2)
-    found = before.converged & np.all(
-        [*np.split(rest.converged, 3), *np.split(loaded.converged, 2)], axis=0
-    )
+    before = _rests(robot, [(here.target[0], _usual_place(here)) for here, _, _ in carried], own)
+    after = _rests(robot, [(there.target[0], _usual_place(there)) for _, there, _ in carried], new)
+    ends = [(there.target[0], there.target[-1], _usual_place(there)) for _, there, _ in carried]
+    nominal = _rests(robot, ends, np.zeros(3))
     share = (grid[:-1] / grid[-1])[:, None]
-    for k in np.flatnonzero(found):
-        here, there = carried[k]
-        usual = used[k] + here.usual_tension - before.tension[k]
-        if (usual < robot.tension_min).any():
-            continue  # no drive gets there
-        inputs = replace(there, rotation=hanging[k], usual_tension=usual)
+    for (here, there, turn), old, now, usual in zip(carried, before, after, nominal, strict=True):
+        if not (old.found and now.found and usual.found):
+            continue
+        away = turn @ here.rotation @ old.rotation[0].T @ turn.T
+        inputs = replace(there, rotation=away @ now.rotation[0])
         geometry = geometry_at(robot, inputs.position, inputs.rotation)
+        direction = geometry_at(robot, here.position, here.rotation).direction
+        force = turn @ (direction.T @ (here.usual_tension - old.tension[1]))
+        tension = now.tension[1] + np.linalg.pinv(geometry.direction.T) @ force
+        if (tension < robot.tension_min).any() or (tension > robot.tension_max).any():
+            continue  # no drive gets there
         yield Question(
-            inputs=inputs,
-            rest=(1.0 - share) * first[k] + share * last[k],
-            habit=usual - nominal[k],
-            surplus=excess_at(robot, inputs.position, inputs.rotation, usual, geometry),
+            inputs=replace(inputs, usual_tension=tension),
+            rest=(1.0 - share) * usual.tension[0] + share * usual.tension[1],
+            habit=tension - usual.tension[2],
+            surplus=excess_at(robot, inputs.position, inputs.rotation, tension, geometry),
         )
 
 
 def _carried(
     robot: Robot, inputs: PlanInputs, center: Array, rng: np.random.Generator
-) -> PlanInputs | None:
-    """Move and turn a state; None: its way is too long for the box."""
+) -> tuple[PlanInputs, Array] | None:
+    """Move and turn a state; return the turn (3, 3) too. None: its way is too long for the box."""
     for _ in range(TURN_TRIES_MAX):
         turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)]).as_matrix()
         way = (inputs.target - inputs.target[0]) @ turn.T
-        low, high = robot.workspace_min - way.min(axis=0), robot.workspace_max - way.max(axis=0)
+        whole = np.vstack([way, turn @ inputs.usual_place])
+        low, high = robot.workspace_min - whole.min(axis=0), robot.workspace_max - whole.max(axis=0)
         if (low < high).all():
             break
     else:
@@ -116,7 +117,7 @@ def _carried(
         share[rng.integers(3)] = depth if rng.uniform() < 0.5 else 1.0 - depth
     place = low + share * (high - low)
     both = np.kron(np.eye(2), turn)  # of linear and angular
-    return replace(
+    there = replace(
         inputs,
         position=place + turn @ (inputs.position - inputs.target[0]),
         twist=both @ inputs.twist,
@@ -126,6 +127,7 @@ def _carried(
         acceleration=both @ inputs.acceleration,
         usual_place=turn @ inputs.usual_place,
     )
+    return there, turn
 
 
 def _usual_place(inputs: PlanInputs) -> Array:
@@ -133,7 +135,32 @@ def _usual_place(inputs: PlanInputs) -> Array:
     return np.asarray(inputs.target[0] + inputs.usual_place)
 
 
-def _rest(robot: Robot, places: Array, center: Array) -> statics.Equilibrium:
-    """Return rests at places (K, 3) [m], with a centre of mass (3,) beside the robot's [m]."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rests:
+    """Rests at k places.
+
+    Attributes:
+        tension: [N], shape (k, n).
+        rotation: From P to W, shape (k, 3, 3).
+        found: Whether there is one at each.
+    """
+
+    tension: Array
+    rotation: Array
+    found: bool
+
+
+def _rests(robot: Robot, places: Sequence[tuple[Array, ...]], center: Array) -> list[_Rests]:
+    """Return the rests of each group of places [m], with a centre of mass beside the robot's."""
     loaded = replace(robot, center_of_mass=robot.center_of_mass + center)
-    return statics.inverse_kinematics(loaded, places)
+    groups = np.array(places)
+    rest = statics.inverse_kinematics(loaded, groups.reshape(-1, 3))
+    every = np.arange(groups.shape[0] * groups.shape[1]).reshape(groups.shape[:2])
+    return [
+        _Rests(
+            tension=rest.tension[rows],
+            rotation=rest.rotation[rows],
+            found=bool(rest.converged[rows].all()),
+        )
+        for rows in every
+    ]

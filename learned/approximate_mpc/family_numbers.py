@@ -25,11 +25,10 @@ from baselines.mpc.plan_times import settings_for
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target_reader import rests
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.family_robots import CABLES, family_settings, layout_of
-from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.plan_inputs import PlanInputs, UnreadableInputs
 
 TIMES = MpcSettings().stages + 1  # of a plan
 # A change of these makes another network of the same file: raise `FAMILY_SCHEMA` with them.
@@ -103,7 +102,7 @@ class FamilyNumbers:
         """Return the numbers, shape (COUNT,).
 
         Raises:
-            InvalidField: A pose that is not finite.
+            UnreadableInputs: A pose that is not finite.
         """
         robot, order, axes = self._robot, self._order, self._turn
         arms = (robot.anchor_points[order] @ inputs.rotation.T) @ axes.T
@@ -111,7 +110,7 @@ class FamilyNumbers:
         chord = robot.exit_points[order] @ axes.T - place - arms
         distance = np.linalg.norm(chord, axis=1)
         if not np.isfinite(distance).all():
-            raise InvalidField("plan inputs", "a pose that is not finite", "finite numbers")
+            raise UnreadableInputs("a pose that is not finite")
         along, turned = chord / distance[:, None], axes @ inputs.rotation
         center = turned @ (robot.center_of_mass + inputs.center) / self._size
         inertia = turned @ self._inertia @ turned.T

@@ -196,7 +196,7 @@ def distill_family(
 def drives_record() -> dict[str, Any]:
     """Return what the drives of all robots have in common as JSON holds it."""
     usual = asdict(DRIVES)
-    own = ("speed_max", "acceleration_max", "spin_spread", "moment_spread", "every")
+    own = ("speed_max", "acceleration_max", "spin_spread", "moment_spread", "every", "elsewhere")
     return {name: value for name, value in usual.items() if name not in own} | {
         "path_speed": PATH_SPEED, "path_acceleration": PATH_ACCELERATION,
         "speed_max_over_sqrt_gL": SPEED_MAX, "acceleration_max_over_g": ACCELERATION_MAX,

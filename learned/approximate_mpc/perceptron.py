@@ -8,11 +8,11 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from learned.approximate_mpc.plan_inputs import INPUT_MAX, UnreadableInputs
 from learned.policy_file import OpenedNetwork
 from learned.policy_network import Layers
 
 ACTIVATION = "silu"  # of the hidden layers
-INPUT_MAX = 1e6  # of the numbers that it reads
 TRIED = (0.0, 1.0, 1e3)  # numbers on which a network is tried
 HALF = np.float32(0.5)
 
@@ -31,10 +31,10 @@ class Perceptron:
         """Return what the network tells, (..., out) from -1 to 1, of numbers (..., in).
 
         Raises:
-            InvalidField: A number is not finite, or far from all that a robot does.
+            UnreadableInputs: A number is not finite, or far from all that a robot does.
         """
         if not np.abs(numbers).max(initial=0.0) <= INPUT_MAX:
-            raise InvalidField("plan inputs", f"{np.abs(numbers).max():g}", f"up to {INPUT_MAX:g}")
+            raise UnreadableInputs(f"{np.abs(numbers).max():g}")
         value = numbers.astype(np.float32)
         for weight, bias in self._hidden:
             value = value @ weight

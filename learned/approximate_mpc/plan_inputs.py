@@ -9,13 +9,23 @@ from typing import Any, Protocol
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.packed_function import Expressions, PackedFunction
 
+INPUT_MAX = 1e6  # of a number: no robot comes near it
 HALF_TURN = 1e-12  # 1 + trace of a rotation, from which on rounding hides its axis
+# A change of these makes other numbers of the same count: raise `PLAN_SCHEMA` with them.
 PULLED_EVERY = 2  # of so many times of a plan, one has its pulls told
 DAMPING = 1e-3  # of pulls: cables in one plane pull nothing out of it
+
+
+class UnreadableInputs(InvalidField):
+    """A state that no network can read: not finite, or far from all that a robot does."""
+
+    def __init__(self, value: object) -> None:
+        super().__init__("plan inputs", value, f"numbers up to {INPUT_MAX:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.observer import PlanStart
 from baselines.mpc.plan import Plan
@@ -13,6 +15,9 @@ from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.plan_inputs import PlanInputs
+
+SAME_TENSION = 1e-3  # of the weight per cable: what a plan that is found still changes by
+ANEW_MAX = 10  # times that a plan is made better until it is found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,13 +73,27 @@ class Teacher:
     def ask_anew(
         self, inputs: PlanInputs, rest: Array, habit: Array, surplus: Array
     ) -> Plan | None:
-        """Return the plan from a state, begun with rest; arguments as of `ask`."""
+        """Return the plan from a state, begun with rest and solved until nothing changes.
+
+        Arguments as of `ask`; None: there is no plan, or it goes on changing.
+        """
         kept, self._plan = self._plan, None
-        plan = self.ask_aside(
-            inputs, rest, habit, surplus, 0.0, iterations=COLD_START_ITERATIONS
-        )  # fmt: skip
-        self._plan = kept
-        return plan
+        last: Plan | None = None
+        try:
+            for k in range(ANEW_MAX):
+                iterations = 1 if k else COLD_START_ITERATIONS
+                plan = self.ask_aside(inputs, rest, habit, surplus, 0.0, iterations=iterations)
+                if plan is None or (last is not None and self._same(last, plan)):
+                    return plan
+                last = self._plan = plan
+            return None
+        finally:
+            self._plan = kept
+
+    def _same(self, one: Plan, other: Plan) -> bool:
+        """Return whether two plans begin with the same tensions."""
+        change = np.abs(one.tension[0] - other.tension[0]).max()
+        return bool(change < SAME_TENSION * self._robot.weight / self._robot.n)
 
     def ask_aside(
         self, inputs: PlanInputs, rest: Array, habit: Array, surplus: Array, time: float, *,

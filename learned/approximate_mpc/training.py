@@ -57,8 +57,9 @@ from learned.policy_file import record_of
 from learned.policy_network import Layers
 
 MARGIN = 2.0  # of an output of 1: times the largest change, or sag less stretch, that was met
-# Of the weight per cable: larger errors count linearly, so that the small changes that hold a
-# platform still are learned as well as the large ones, which are harder to foresee.
+# Of the unit of an error, the weight per cable or a tenth of the scale of sag less stretch: larger
+# ones count linearly, so that the small changes that hold a platform still are learned as well as
+# the large ones, which are harder to foresee.
 HUBER = 0.002
 SPREAD_MIN = 1e-3  # of an input, in its unit of `carosac`: what hardly varies is not blown up
 TABLE_COLUMNS = (

@@ -53,7 +53,7 @@ class Options(DefaultRobotOptions):
     an hour on two cores. With --family 150 to 700, which takes an hour and a quarter."""
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take an eighth
-    of what is asked for."""
+    of what is asked for, with --family a fifth."""
     tension_share: float | None = None
     """Share of the way to new tensions that a command goes, by default 1. Where cables are
     stiff and a simulated robot trembles, 0.6 calms it; soft ones may swing up. Always 0.9 with
@@ -132,8 +132,7 @@ def _asked(
     if options.drives is not None:
         asked[name] = (options.drives,) * len(drives)
     if options.updates is not None:
-        early = max(1, options.updates // 8)
-        asked["updates"] = (early,) * (len(updates) - 1) + (options.updates,)
+        asked["updates"] = tuple(max(1, options.updates * each // updates[-1]) for each in updates)
     return asked
 
 

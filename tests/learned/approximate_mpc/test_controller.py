@@ -103,6 +103,16 @@ def test_it_hands_over_where_it_was_not_trained_and_takes_over_again():
     assert np.abs(acceleration).max() < 3.0  # nothing jumps, though the belief does
 
 
+def test_it_hands_over_where_no_network_can_read_the_state():
+    robot = ct.load_robot("carosac")
+    controller, belief, _ = at_home(robot)
+    calm = still(controller, robot.home_position)
+    mad = np.zeros_like(calm.velocity)
+    mad[0, -1] = 1e9  # of the last row alone, which input shaping does not look at
+    controller.command(belief, replace(calm, velocity=mad))
+    assert controller.fallbacks == {"a state that no network can read": 1}
+
+
 def test_a_platform_that_bounces_is_handed_over_for_longer_each_time():
     """Its energy is in motion, then in tensions that no plan has asked for, for four cycles."""
     robot = ct.load_robot("carosac")

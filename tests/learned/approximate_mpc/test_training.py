@@ -144,6 +144,8 @@ def test_settings_that_make_no_sense_are_refused():
         DistillationSettings(drives=(1, 2), updates=(1,))
     with pytest.raises(InvalidField, match="drives"):
         DistillationSettings(drives=(0,), updates=(1,))
+    with pytest.raises(InvalidField, match="elsewhere"):
+        DemonstrationSettings(elsewhere=-1)
 
 
 def test_plants_that_cannot_rest_at_a_start_are_drawn_again():
