@@ -49,6 +49,7 @@ from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.networks import load_network, network_for
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs, UnreadableInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
+from learned.approximate_mpc.taut_cables import TautCables
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
 from learned.shaped_fallback import BOUNCING, FAR, OUTSIDE, ShapedFallback
@@ -121,6 +122,7 @@ class PlanFollower:
             offsets=self._offsets, excess=self._excess, compiled=compiled,
         )  # fmt: skip
         self._guard = BounceGuard(robot, self.period)
+        self._taut = TautCables(robot)
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
         self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * equal_energy(robot)
@@ -225,6 +227,8 @@ class PlanFollower:
             excess: Sag less stretch at the end of the period [m], shape (n,); where it is NaN, as
                 no cable hangs so, what is sent comes to rest.
         """
+        push = self._taut.push(inputs.position, inputs.rotation, self._usual_tension)
+        tension = tension if push is None else tension + push
         tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)

@@ -81,7 +81,7 @@ class DistillationSettings:
         tension_share: See `PlanFollower`; 1 sends tensions as they are planned.
     """
 
-    drives: tuple[int, ...] = (25, 45, 65, 65)
+    drives: tuple[int, ...] = (25, 45, 60, 60)
     updates: tuple[int, ...] = (5000, 5000, 5000, 40000)
     batch: int = 512
     hidden: tuple[int, ...] = (192, 192, 128)
