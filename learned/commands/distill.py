@@ -49,7 +49,7 @@ class Options(DefaultRobotOptions):
     family: bool = False
     """Train the network of all suspended robots of four cables instead of that of a robot."""
     drives: int | None = None
-    """Drives of each of the four rounds: fewer for a first look. By default 25 to 65, a quarter of
+    """Drives of each of the four rounds: fewer for a first look. By default 25 to 60, a quarter of
     an hour on two cores. With --family 150 to 700, which takes an hour and a quarter."""
     updates: int | None = None
     """Updates of the network after the last round; by default 40000. Earlier rounds take an eighth
