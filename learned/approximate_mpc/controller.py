@@ -221,15 +221,16 @@ class PlanFollower:
     def follow(self, inputs: PlanInputs, tension: Array, excess: Array) -> Array:
         """Return the command (n,) [m] for the first tensions of a plan, and their sag less stretch.
 
+        Weak cables pull more than planned, as `TautCables` has it.
+
         Args:
             inputs: As `look` returned them.
             tension: Along the chords [N], shape (n,).
             excess: Sag less stretch at the end of the period [m], shape (n,); where it is NaN, as
                 no cable hangs so, what is sent comes to rest.
         """
-        push = self._taut.push(inputs.position, inputs.rotation, self._usual_tension)
-        tension = tension if push is None else tension + push
         tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
+        tension, excess = self._taut.pull(inputs, tension, excess)
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)
         self._pull = tension
