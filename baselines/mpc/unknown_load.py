@@ -82,6 +82,37 @@ def equal_energy(robot: Robot) -> Array:
     return np.repeat([1.0, 1.0 / gyration], 3)
 
 
+class AccelerationGain:
+    """Gain of `UnknownLoad` for the acceleration alone, taken to be the same in all ways.
+
+    At the start, where nothing is known, a gained speed tells more than later.
+    """
+
+    def __init__(self, robot: Robot, *, period: float, disturbance_time: float) -> None:
+        """Take the robot, and the other arguments of `UnknownLoad`."""
+        ratios = Scales(robot).ratios
+        self._period, self._time = period, disturbance_time
+        self._noise = SPEED_NOISE.of(ratios) ** 2
+        self._most = ACCELERATION_DEVIATION.of(ratios) ** 2
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget that anything was learned."""
+        self._variance = self._most
+
+    def next(self, *, told: bool) -> float:
+        """Return the acceleration per gained speed [1/s], and take note that it is learned from.
+
+        Args:
+            told: Whether somebody else knows the centre of mass.
+        """
+        time = self._time * (1.0 if told else UNTOLD_TIME_RATIO)
+        before = min(self._variance + self._noise / time**2, self._most)
+        gain = before * self._period / (before * self._period**2 + self._noise)
+        self._variance = (1.0 - gain * self._period) * before
+        return gain
+
+
 class UnknownLoad:
     """A Kalman filter of centre of mass and acceleration.
 

@@ -33,7 +33,7 @@ from baselines.mpc.target_reader import CHASE_DISTANCE_MAX, TargetReader
 from baselines.mpc.unknown_load import (
     CENTER_STEP_MIN,
     DISTURBANCE_MAX,
-    UNTOLD_TIME_RATIO,
+    AccelerationGain,
     equal_energy,
 )
 from baselines.mpc.winch_reference import WinchReference
@@ -125,6 +125,9 @@ class PlanFollower:
         self._taut = TautCables(robot)
         self._soft_start = SoftStart(self.grid, self.ratios)
         self.habit_share = self.period / OFFSET_TIME.of(self.ratios)
+        self._gain = AccelerationGain(
+            robot, period=self.period, disturbance_time=self.settings.disturbance_time
+        )
         self._acceleration_max = DISTURBANCE_MAX.of(self.ratios) * equal_energy(robot)
         self._center_step = CENTER_STEP_MIN.of(self.ratios)
         self._gate = BELIEF_GATE.of(self.ratios)
@@ -270,6 +273,7 @@ class PlanFollower:
         """Drop the prediction, and what was learned of the load, which may be wrong."""
         self._after = self._pull = self._planned = None
         self._acceleration = np.zeros(6)
+        self._gain.reset()
         self._usual_place = None
 
     def _twist(self, belief: Belief) -> Array:
@@ -327,9 +331,8 @@ class PlanFollower:
 
     def _learn(self, innovation: Array, *, told: bool) -> None:
         """Take in what the twist has beyond its prediction, in the free ways (6,)."""
-        duration = self.settings.disturbance_time * (1.0 if told else UNTOLD_TIME_RATIO)
         most = self._acceleration_max
-        found = self._acceleration + innovation / duration
+        found = self._acceleration + self._gain.next(told=told) * innovation
         self._acceleration = np.minimum(np.maximum(found, -most), most)
 
 

@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.mpc import Mpc, MpcSettings, model
 from baselines.mpc.geometry import geometry_at
-from baselines.mpc.unknown_load import CENTER_DEVIATIONS_MAX, PlannedMotion, UnknownLoad
+from baselines.mpc.unknown_load import (
+    CENTER_DEVIATIONS_MAX,
+    UNTOLD_TIME_RATIO,
+    AccelerationGain,
+    PlannedMotion,
+    UnknownLoad,
+)
 from carosac_toolkit import trajectories
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.structure import constrained_motion
@@ -151,6 +157,31 @@ def test_a_centre_of_mass_that_is_told_is_not_learned_and_moments_are():
     assert load.tell(None)  # nobody knows it any more
     assert not load.shift.any() and load.robot is robot
     assert not load.tell(None)
+
+
+def test_one_gain_learns_an_acceleration_as_the_filter_does():
+    robot = replace(simple_robot(), center_of_mass=np.zeros(3))
+    load = made(robot)
+    load.tell(robot.center_of_mass)
+    gain = AccelerationGain(robot, period=PERIOD, disturbance_time=0.25)
+    scene, found = Scene(robot, np.random.default_rng(2)), np.zeros(6)
+    mass = scene.free(robot)[1]
+    for speed in (0.01, 0.02, 0.0, -0.01, *[0.003] * 50):
+        gained = speed * np.array([1.0, 0.5, -0.5, 0.0, 0.0, 0.0])
+        load.learn(gained, np.eye(6), mass, scene.motion(robot))
+        found = found + gain.next(told=True) * gained
+        assert found == pytest.approx(load.acceleration, rel=0.03, abs=2e-3)
+
+
+def test_a_gain_falls_to_that_of_a_first_order_filter():
+    robot = simple_robot()
+    for told, time in ((True, 0.25), (False, 0.25 * UNTOLD_TIME_RATIO)):
+        gain = AccelerationGain(robot, period=PERIOD, disturbance_time=0.25)
+        found = [gain.next(told=told) for _ in range(500)]
+        assert found[0] > 1.5 * found[-1]
+        assert found[-1] == pytest.approx(1.0 / time, rel=0.1)
+        gain.reset()
+        assert gain.next(told=told) == found[0]
 
 
 def test_it_stays_where_a_centre_of_mass_can_be():
