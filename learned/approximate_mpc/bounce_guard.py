@@ -49,19 +49,25 @@ class BounceGuard:
             planned: Tensions that were planned for now [N], shape (n,).
             usual: Of the last half second [N], shape (n,).
         """
-        held = self._stretch_energy(free, usual)
+        softness = (free + self._robot.run_length) / self._robot.axial_stiffness
+        held = _stretch_energy(softness, usual)
         if tension is None or not np.isfinite(tension).all():
             return motion / held
         missed = tension - planned
         lasting = missed if self._lasting is None else self._lasting
         sudden = missed - lasting
         self._lasting = lasting + self._share * sudden
-        now = np.array([motion, self._stretch_energy(free, sudden)]) / held
+        now = np.array([motion, _stretch_energy(softness, sudden)]) / held
         left = (1.0 - self._share) * self._lately
         self._lately = np.maximum(left, now)
         return float(self._lately.min())
 
-    def _stretch_energy(self, free: Array, tension: Array) -> float:
-        """Return what cables of some tensions (n,) [N] hold by their stretch [J]."""
-        softness = (free + self._robot.run_length) / self._robot.axial_stiffness
-        return 0.5 * float(softness @ tension**2)
+
+def _stretch_energy(softness: Array, tension: Array) -> float:
+    """Return what cables hold by their stretch [J].
+
+    Args:
+        softness: Stretch per tension [m/N], shape (n,).
+        tension: [N], shape (n,).
+    """
+    return 0.5 * float(softness @ tension**2)

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from baselines.mpc.settings import Compiled
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
@@ -120,10 +121,16 @@ class PlanNumbers:
     ride along are left out of them: they are hints, and plans follow from the equations of MPC.
     """
 
-    def __init__(self, robot: Robot, stages: int) -> None:
-        """Build the function for a robot and plans of some stages."""
+    def __init__(self, robot: Robot, stages: int, compiled: Compiled = "never") -> None:
+        """Build the function for a robot and plans of some stages.
+
+        Args:
+            robot: Of n cables.
+            stages: Of a plan.
+            compiled: As in `MpcSettings`.
+        """
         self._robot = robot
-        self._function = PackedFunction(*_numbers(robot, stages + 1), "never")
+        self._function = PackedFunction(*_numbers(robot, stages + 1), compiled)
 
     def count(self, stages: int) -> int:
         """Return how many numbers these are, for a plan of some stages."""

@@ -134,9 +134,9 @@ class PlanNetwork:
         Raises:
             InvalidField: One of them is not finite, or far from all that a robot does.
         """
-        change, excess = np.split(self._scale * self._tell(numbers), 2)
-        tension = usual_tension(self.description.robot, numbers) + change
-        return np.minimum(np.maximum(tension, self._least), self._most), excess
+        told, n = self._scale * self._tell(numbers), len(self._least)
+        tension = usual_tension(self.description.robot, numbers) + told[:n]
+        return np.minimum(np.maximum(tension, self._least), self._most), told[n:]
 
     def settings_of(self, robot: Robot) -> MpcSettings:
         """Return the settings of MPC; they are of the robot that it was trained for."""
@@ -144,7 +144,7 @@ class PlanNetwork:
 
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""
-        numbers = PlanNumbers(robot, self.settings.stages)
+        numbers = PlanNumbers(robot, self.settings.stages, self.settings.compiled)
         return lambda inputs: self.plan(numbers.of(inputs))
 
     def check(self, robot: Robot) -> None:
