@@ -108,7 +108,7 @@ def test_it_hands_over_where_no_network_can_read_the_state():
     controller, belief, _ = at_home(robot)
     calm = still(controller, robot.home_position)
     mad = np.zeros_like(calm.velocity)
-    mad[0, -1] = 1e9  # of the last row alone, which input shaping does not look at
+    mad[0, -2] = 1e9  # at the end of the plan alone, at which input shaping does not look
     controller.command(belief, replace(calm, velocity=mad))
     assert controller.fallbacks == {"a state that no network can read": 1}
 
