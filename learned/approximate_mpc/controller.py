@@ -388,6 +388,7 @@ class ApproximateMpc:
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)
+        network.planner(robot)  # compiled here, not in the first cycle
         self._plan: PlanCallback | None = None
 
     @classmethod

@@ -92,6 +92,7 @@ class PlanNetwork:
         robot = description.robot
         self._scale = np.repeat([description.tension_scale, description.excess_scale], robot.n)
         self._least, self._most = robot.tension_min, robot.tension_max
+        self._reader: tuple[Robot, PlanNumbers] | None = None  # of the last robot
 
     @classmethod
     def load(cls, path: str | Path) -> PlanNetwork:
@@ -144,7 +145,10 @@ class PlanNetwork:
 
     def planner(self, robot: Robot) -> PlanCallback:
         """Return what plans for a robot."""
-        numbers = PlanNumbers(robot, self.settings.stages, self.settings.compiled)
+        if self._reader is None or self._reader[0] is not robot:
+            settings = self.settings
+            self._reader = robot, PlanNumbers(robot, settings.stages, settings.compiled)
+        _, numbers = self._reader
         return lambda inputs: self.plan(numbers.of(inputs))
 
     def check(self, robot: Robot) -> None:

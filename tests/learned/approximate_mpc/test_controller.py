@@ -72,6 +72,17 @@ def at_home(robot):
     return controller, belief, rest
 
 
+def test_a_reset_builds_nothing_that_takes_longer_than_a_cycle(robot, monkeypatch):
+    _, belief, _ = at_home(robot)
+    controller = ApproximateMpc.build(ct.load_robot(robot.name))
+
+    def built(*_):
+        raise AssertionError("it was built with the controller")
+
+    monkeypatch.setattr("learned.approximate_mpc.packed_function.PackedFunction.__init__", built)
+    controller.reset(belief)
+
+
 def test_the_platform_stays_where_it_is(robot):
     controller, belief, rest = at_home(robot)
     first = controller.command(belief, still(controller, robot.home_position)).unstrained_length
