@@ -24,7 +24,7 @@ from learned.approximate_mpc.plan_inputs import PlanInputs
 MARGIN = 0.17  # over the least tension, in the weight per cable: below it a cable is weak
 GAIN = 0.5  # of what a weak cable misses, in the time in which tensions become usual
 AMPLIFICATION_MAX = 10.0  # of a projection on the null space, for cables that it hardly changes
-ROUNDING = 1e-9  # of the largest change: smaller ones are none
+ROUNDING = 1e-9  # of the largest shortfall: smaller changes are none
 
 
 class TautCables:
@@ -54,7 +54,10 @@ class TautCables:
             return tension, excess
         pose = self._robot, inputs.position, inputs.rotation
         geometry = geometry_at(*pose)
-        more = tension + self._added(geometry.direction, reserve, tension)
+        added = self._added(geometry.direction, reserve, tension)
+        if not added.any():
+            return tension, excess
+        more = tension + added
         change = excess_at(*pose, more, geometry) - excess_at(*pose, tension, geometry)
         return more, excess + np.where(np.isfinite(change), change, 0.0)
 
