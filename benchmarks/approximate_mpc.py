@@ -62,9 +62,9 @@ def _content(policy: str) -> str:
 
 
 def latencies(robot: str) -> tuple[float, float]:
-    """Return the median CPU time of a command [s], of the network and of MPC, of drives by turns.
+    """Return the median CPU time of a command [s], of the network and of MPC.
 
-    Drives differ by half where a core or a clock does: the medians are of several each.
+    Their drives take turns: where a core runs slower, a drive takes half as long again.
     """
     tasks = [
         Task(robot=robot, controller=name, path=PATHS[0], seed=0) for name in (CONTROLLER, "mpc")
