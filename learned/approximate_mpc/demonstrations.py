@@ -26,7 +26,8 @@ from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop import plugins
-from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.loop import Log, run
+from carosac_toolkit.loop.protocols import Controller
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
@@ -52,7 +53,7 @@ SNAP_SHARE = 0.25  # of the drives, along minimum-snap paths; the others are str
 OUTER_SHARE = 0.6  # of the straight moves, between points near the faces of the box
 OUTER_BOX_SHARE = 0.85  # of the half box, from which on a point is near them
 PATH_TRIES_MAX = 100
-PLANT_TRIES_MAX = 20  # then the last one says why it cannot rest
+PLANT_TRIES_MAX = 20  # at one start
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,28 +160,12 @@ def demonstrate(
     began = time.process_time()
     chosen = resolved(settings, Scales(robot).ratios)
     rng = np.random.default_rng([*seed, 13])
-    path = draw_path(robot, chosen, rng)
-    condition = find_condition(chosen.condition)
+    path, plant = draw_drive(robot, chosen, rng)
     controller = _Asking(robot, chosen, mpc, rng, network, reader)
-    kind = plugins.load("drivers", "simulator")
-    start = path.sample(np.zeros(1)).position[0]
-    driver_settings = replace(
-        kind.Settings(),
-        suite=chosen.suite,
-        period=controller.period,
-        start_position=tuple(float(x) for x in start),
-        wind_force=condition.of(robot).wind_force,
-    )
-    driver = kind.build(
-        draw_resting(robot, condition, start, rng),
-        settled(driver_settings, robot),
-        seed=int(rng.integers(2**31)),
-    )
-    estimator = plugins.load("estimators", chosen.estimator).build(robot)
     duration = min(path.duration, longest) + CALM_TIME.of(Scales(robot).ratios)
     error, lost = float("nan"), ""
     try:
-        log = run(driver, estimator, controller, path, duration=duration)
+        log = drive_plant(robot, plant, chosen, path, controller, rng, duration)
     except (InvalidField, MissingExtra):
         raise  # that is no matter of driving
     except CarosacError as reason:  # it is lost; what was learned on the way there counts
@@ -189,20 +174,82 @@ def demonstrate(
         assert log.position is not None
         away = np.linalg.norm(log.position - log.reference, axis=2)
         error = float(np.sqrt((away**2).mean()))
-    controller.ask_elsewhere(condition.of(robot).center_of_mass)
+    controller.ask_elsewhere(find_condition(chosen.condition).of(robot).center_of_mass)
     return controller.demonstrations(error, lost, time.process_time() - began)
+
+
+def draw_drive(
+    robot: Robot, settings: DemonstrationSettings, rng: np.random.Generator
+) -> tuple[Trajectory, Robot]:
+    """Draw a path, and a plant that can rest where it begins; where hardly any can, another path.
+
+    Raises:
+        NoRest: None could, on many paths.
+    """
+    condition = find_condition(settings.condition)
+    for k in range(PATH_TRIES_MAX):
+        path = draw_path(robot, settings, rng)
+        try:
+            return path, draw_resting(robot, condition, path.sample(np.zeros(1)).position[0], rng)
+        except NoRest:
+            if k == PATH_TRIES_MAX - 1:
+                raise
+    raise AssertionError("the last try returns or raises")
+
+
+def drive_plant(
+    robot: Robot,
+    plant: Robot,
+    settings: DemonstrationSettings,
+    path: Trajectory,
+    controller: Controller,
+    rng: np.random.Generator,
+    duration: float,
+) -> Log:
+    """Drive a plant along a path, behind sensors and estimator.
+
+    Args:
+        robot: The nominal robot.
+        plant: That is simulated.
+        settings: Settings, with numbers of this robot.
+        path: The path.
+        controller: That drives.
+        rng: Draws all noise.
+        duration: After which the drive ends [s].
+
+    Raises:
+        CarosacError: The drive was lost.
+    """
+    condition = find_condition(settings.condition)
+    kind = plugins.load("drivers", "simulator")
+    start = path.sample(np.zeros(1)).position[0]
+    driver_settings = replace(
+        kind.Settings(),
+        suite=settings.suite,
+        period=controller.period,
+        start_position=tuple(float(x) for x in start),
+        wind_force=condition.of(robot).wind_force,
+    )
+    driver = kind.build(plant, settled(driver_settings, robot), seed=int(rng.integers(2**31)))
+    estimator = plugins.load("estimators", settings.estimator).build(robot)
+    return run(driver, estimator, controller, path, duration=duration)
 
 
 def draw_resting(
     robot: Robot, condition: Condition, start: Array, rng: np.random.Generator
 ) -> Robot:
-    """Draw a plant that can rest at a start (3,) [m]; near the faces of the box some cannot."""
+    """Draw a plant that can rest at a start (3,) [m]; near the faces of the box some cannot.
+
+    Raises:
+        NoRest: None of those that were drawn can.
+    """
     for _ in range(PLANT_TRIES_MAX):
         plant = draw_plant(robot, condition, rng)
         rest = statics.inverse_kinematics(plant, start[None])
         if (rest.converged & rest.stable).all():
-            break
-    return plant
+            return plant
+    where = ", ".join(f"{x:.3f}" for x in start)
+    raise NoRest(f"{robot.name}: no plant of {PLANT_TRIES_MAX} can rest at ({where}) m")
 
 
 def draw_path(
@@ -249,6 +296,10 @@ def nearby(
         twist=inputs.twist + twist,
         acceleration=inputs.acceleration + push,
     )
+
+
+class NoRest(CarosacError):
+    """No plant can rest where a drive would begin."""
 
 
 class Lost(CarosacError):

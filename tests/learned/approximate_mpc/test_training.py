@@ -9,13 +9,18 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.perturbations import draw_plant
 from carosac_toolkit.robot.similar import similar_robot
 from learned.approximate_mpc.demonstrations import (
     Demonstrations,
     DemonstrationSettings,
+    NoRest,
+    draw_drive,
+    draw_path,
     draw_resting,
 )
 from learned.approximate_mpc.plan_inputs import input_count, input_units, usual_tension
@@ -164,3 +169,17 @@ def test_plants_that_cannot_rest_at_a_start_are_drawn_again():
         assert rests(plant)
         same = draw_plant(robot, condition, np.random.default_rng(seed))
         assert (plant.mass == same.mass) == sound
+
+
+def test_a_path_from_where_hardly_any_plant_can_rest_is_drawn_again():
+    """On the face of the box, where the robot itself cannot; seed 1 of `carosac` met it."""
+    robot, rng = ct.load_robot("carosac"), np.random.default_rng([1, 173, 13])
+    settings = resolved(DemonstrationSettings(), Scales(robot).ratios)
+    refused = draw_path(robot, settings, rng).sample(np.zeros(1)).position
+    assert not statics.inverse_kinematics(robot, refused).converged.all()
+    condition = find_condition(settings.condition)
+    with pytest.raises(NoRest, match=r"carosac: no plant of 20 can rest at \(2\.390, "):
+        draw_resting(robot, condition, refused[0], rng)
+    path, plant = draw_drive(robot, settings, np.random.default_rng([1, 173, 13]))
+    rest = statics.inverse_kinematics(plant, path.sample(np.zeros(1)).position)
+    assert (rest.converged & rest.stable).all()
