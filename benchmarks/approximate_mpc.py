@@ -74,22 +74,26 @@ def latencies(robot: str) -> tuple[float, float]:
     return float(mine), float(theirs)
 
 
-def training_time(network: str) -> float:
+def training_time(path: Path) -> float:
     """Return the CPU time of a training, drives and regressions, by its table of rounds [s].
 
     Raises:
-        InvalidField: There is no table with such a column beside the network.
+        InvalidField: There is no table with such a column.
     """
-    path = find_network(network).with_suffix(".csv")
     try:
         with path.open(encoding="utf-8", newline="") as file:
             times = [float(row["cpu_s"]) for row in csv.DictReader(file)]
     except (OSError, KeyError, TypeError, ValueError) as error:
-        allowed = "the table of rounds of the network beside it, with cpu_s"
+        allowed = "the table of rounds of a training, with cpu_s"
         raise InvalidField("training", path, allowed) from error
     if not times:
         raise InvalidField("training", f"{path} without rounds", "at least one")
     return sum(times)
+
+
+def table_of(network: str) -> Path:
+    """Return where the table of rounds of a network is: beside it."""
+    return find_network(network).with_suffix(".csv")
 
 
 def check_alike(networks: Sequence[str]) -> None:
@@ -156,7 +160,7 @@ def main() -> None:
     bundled = [BUNDLED[name] for name in asked.robots]
     seeds = bundled + [str(path) for path in sorted(OTHER_SEEDS.glob("*.onnx"))]
     check_alike(seeds)
-    spent = {name: training_time(name) for name in seeds}
+    spent = {name: training_time(table_of(name)) for name in seeds}
     networks = seeds + asked.networks
     loaded = [(name, PlanNetwork.load(find_network(name)).description) for name in networks]
     every: dict[str, list[tuple[str, str]]] = {name: [] for name in asked.robots}

@@ -13,6 +13,8 @@ by hand:
 predictive control, input shaping and inverse kinematics on the same moves.
 ``python -m benchmarks.learning --parts low [--policies FILE ...]``: whether platforms calm down low
 in the box, behind two estimators.
+``python -m benchmarks.learning --parts ways --runs DIR --seeds 15``: learned from scratch,
+distilled and both, after as much CPU time; trains what is missing in DIR, 90 CPU minutes.
 ``python -m benchmarks.learning --parts recording --recording FILE --robot FILE --policies FILE``:
 lengths commanded to a simulator that was fitted to the recorded robot.
 """
@@ -84,6 +86,13 @@ def recording_part(asked: argparse.Namespace) -> tuple[str, str]:
     return part.TITLE, part.recording(asked.recording, asked.robot, asked.policies)
 
 
+def ways_part(asked: argparse.Namespace) -> tuple[str, str]:
+    """Title and text."""
+    from benchmarks import learning_ways as part
+
+    return part.TITLE, part.ways(asked.runs[0], asked.seeds, asked.robots, asked.processes)
+
+
 Part = Callable[[argparse.Namespace], tuple[str, str]]
 PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it needs
     "throughput": (throughput_part, ()),
@@ -93,6 +102,7 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it n
     "bars": (bars_part, ("runs",)),
     "drive": (drive_part, ()),
     "low": (low_part, ()),
+    "ways": (ways_part, ("runs",)),
     "recording": (recording_part, ("recording", "robot", "policies")),
 }
 
@@ -105,9 +115,10 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=["throughput"])
     parser.add_argument("--runs", nargs="+", type=Path, help="folders of trainings")
     parser.add_argument("--policies", nargs="+", type=Path, default=[], help="ONNX files")
-    parser.add_argument("--seeds", type=int, default=3, help="of `drive`")
-    parser.add_argument("--robots", nargs="+", default=["carosac", "scampi"], help="of `drive`")
-    parser.add_argument("--processes", type=int, default=2, help="of `drive`")
+    parser.add_argument("--seeds", type=int, default=3, help="of `drive` and `ways`")
+    robots = ["carosac", "scampi"]
+    parser.add_argument("--robots", nargs="+", default=robots, help="of `drive` and `ways`")
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--recording", type=Path, help="CSV, Parquet or .mat, with poses")
     parser.add_argument("--robot", type=Path, help="what `carosac identify` made of it")
     parser.add_argument("--print-only", action="store_true", help="leave RESULTS.md as it is")
@@ -128,7 +139,7 @@ def main() -> None:
         print(text, flush=True)
         if not asked.print_only:
             command = "make bench" if name == "throughput" else f"{COMMAND} --parts {name}"
-            command += f" --seeds {asked.seeds}" if name == "drive" else ""
+            command += f" --seeds {asked.seeds}" if name in ("drive", "ways") else ""
             write_section(f"learning:{name}", title, command, text)
 
 

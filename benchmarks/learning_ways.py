@@ -1,0 +1,107 @@
+"""Learned from scratch, distilled from MPC, and both, after as much CPU time each.
+
+From scratch: preset `residual`, trained where it drives, behind sensors and estimator. Distilled:
+the bundled network. Both: one that learned from three rounds of drives instead of four, and was
+refined by reinforcement learning in the time of the fourth. What was trained for the committed
+table is in ``benchmarks/ways``.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from pathlib import Path
+
+import carosac_toolkit as ct
+from benchmarks.approximate_mpc import (
+    CONTROLLER,
+    PATHS,
+    drive,
+    rows_of,
+    table_of,
+    training_time,
+)
+from benchmarks.controllers import Task
+from benchmarks.learning_drive import td3
+from benchmarks.refinement import RefinementSettings, refine
+from benchmarks.results import table
+from learned.approximate_mpc.networks import BUNDLED
+from learned.approximate_mpc.rounds import NETWORK_FILE, TABLE_FILE
+from learned.approximate_mpc.training import DistillationSettings, distill
+from learned.learning_curve import CURVE_FILE, read_curve
+from learned.training import train
+from learned.training_study import TrainingRun
+
+TITLE = "Learned from scratch, distilled, and both"
+ROBOTS = ("carosac", "scampi")
+PRESET, STAGE, ESTIMATOR = "residual", "realtime", "dynamic_estimator"
+STEPS = 260_000  # from scratch: they take as long as the other ways
+SEED = 0
+WHOLE = DistillationSettings()
+SHORTER = DistillationSettings(
+    drives=WHOLE.drives[:-1], updates=(*WHOLE.updates[:-2], WHOLE.updates[-1])
+)
+REFINED, SPENT = "refined.onnx", "spent.json"
+
+
+def from_scratch(robot: str, folder: Path) -> tuple[Path, float]:
+    """Train `residual` behind the estimator; return its policy and CPU time [s]."""
+    run = TrainingRun(
+        preset=PRESET, robot=robot, stages=(STAGE,), seed=SEED, steps=STEPS,
+        fixed={"environment.moving.estimator": ESTIMATOR},
+    )  # fmt: skip
+    (job,) = run.jobs(ct.load_robot(robot), folder)
+    policy = train(job, folder / STAGE)
+    assert policy is not None
+    return policy, read_curve(folder / STAGE / CURVE_FILE)[-1]["cpu_seconds"]
+
+
+def both(robot: str, folder: Path, processes: int) -> tuple[Path, float]:
+    """Distil and refine; return the network and CPU time [s]."""
+    distill(ct.load_robot(robot), folder, seed=SEED, settings=SHORTER, workers=processes)
+    network, refined, spent = (folder / name for name in (NETWORK_FILE, REFINED, SPENT))
+    if not (refined.is_file() and spent.is_file()):
+        drives = [folder / f"drive-{k:04d}.npz" for k in range(sum(SHORTER.drives))]
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+            took = refine(
+                network, drives, refined, settings=RefinementSettings(), seed=SEED, pool=pool
+            )
+        spent.write_text(json.dumps({"cpu_s": took}), encoding="utf-8")
+    took = float(json.loads(spent.read_text(encoding="utf-8"))["cpu_s"])
+    return refined, training_time(folder / TABLE_FILE) + took
+
+
+def ways(folder: Path, seeds: int, robots: list[str], processes: int) -> str:
+    """Train what is not trained yet, drive all, and make the section."""
+    rows, trainings = [], []
+    for robot in robots:
+        found = {
+            "from scratch": (td3(), *from_scratch(robot, folder / robot / "scratch")),
+            "distilled": (
+                CONTROLLER,
+                Path(BUNDLED[robot]),
+                training_time(table_of(BUNDLED[robot])),
+            ),
+            "both": (CONTROLLER, *both(robot, folder / robot / "both", processes)),
+        }
+        tasks = [
+            [Task(robot=robot, controller=name, path=path, seed=seed, policy=policy)
+             for path in PATHS for seed in range(seeds)]
+            for name, policy in [("mpc", None), *((x[0], str(x[1])) for x in found.values())]
+        ]  # fmt: skip
+        with multiprocessing.get_context("spawn").Pool(processes) as pool:
+            groups = [iter(pool.map(drive, some, chunksize=1)) for some in tasks]
+        mpc, *others = [[[next(one) for _ in range(seeds)] for _ in PATHS] for one in groups]
+        for (way, (_, _, spent)), mine in zip(found.items(), others, strict=True):
+            rows += rows_of(robot, way, mine, mpc)
+            trainings.append([robot, way, f"{spent / 60.0:.1f}"])
+    header = [
+        "robot", "way", "path", "tracking / sway [mm]", "of MPC", "ratio, 95 % bound",
+        "slack, of MPC [% of the time]", "handed over [% of the cycles]", "failed, of MPC",
+    ]  # fmt: skip
+    return (
+        f"Seed {SEED} of each training; {seeds} plants drawn from nominal-1, `dynamic_estimator` "
+        "on lengths and IMU, the drives of `benchmarks.approximate_mpc`.\n\n"
+        f"{table(header, rows)}\n\nCPU time of the trainings:\n\n"
+        f"{table(['robot', 'way', 'minutes'], trainings)}"
+    )
