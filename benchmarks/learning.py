@@ -14,7 +14,7 @@ predictive control, input shaping and inverse kinematics on the same moves.
 ``python -m benchmarks.learning --parts low [--policies FILE ...]``: whether platforms calm down low
 in the box, behind two estimators.
 ``python -m benchmarks.learning --parts ways --runs DIR --seeds 15``: learned from scratch,
-distilled and both, after as much CPU time; trains what is missing in DIR, 90 CPU minutes.
+distilled and both, after as much CPU time; trains what is missing in DIR, an hour a robot.
 ``python -m benchmarks.learning --parts recording --recording FILE --robot FILE --policies FILE``:
 lengths commanded to a simulator that was fitted to the recorded robot.
 """
@@ -140,6 +140,7 @@ def main() -> None:
         if not asked.print_only:
             command = "make bench" if name == "throughput" else f"{COMMAND} --parts {name}"
             command += f" --seeds {asked.seeds}" if name in ("drive", "ways") else ""
+            command += f" --robots {' '.join(asked.robots)} --runs DIR" if name == "ways" else ""
             write_section(f"learning:{name}", title, command, text)
 
 

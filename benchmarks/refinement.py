@@ -1,9 +1,9 @@
 """Reinforcement learning on top of a network that learned from MPC.
 
-TD3 with a pull to what MPC answers (TD3+BC): the network drives plants and tries other tensions,
-two critics learn what comes of these, and the network goes where they see more reward, as far as
-the answers of MPC let it. Critics see the truth that no controller sees: errors, their change and
-those of the estimator.
+In the manner of TD3 with a pull to what MPC answers (TD3+BC): the network drives plants and tries
+other tensions, two critics learn what comes of these, and the network goes where they see more
+reward, as far as the answers of MPC let it. Critics see the truth that no controller sees: errors,
+their change and those of the estimator.
 
 References:
     Fujimoto, Gu, A minimalist approach to offline reinforcement learning, *NeurIPS*, 2021.
@@ -24,7 +24,8 @@ import numpy as np
 
 from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
@@ -37,10 +38,10 @@ from learned.approximate_mpc.demonstrations import (
     draw_drive,
     drive_plant,
 )
-from learned.approximate_mpc.plan_inputs import PlanNumbers, usual_tension
+from learned.approximate_mpc.plan_inputs import PlanNumbers, input_units, usual_tension
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork, write_plan_network
 from learned.approximate_mpc.rounds import is_held_out
-from learned.approximate_mpc.training import HUBER
+from learned.approximate_mpc.training import HUBER, SPREAD_MIN
 from learned.policy_file import open_network
 from learned.policy_network import Layers
 
@@ -63,8 +64,7 @@ class RefinementSettings:
         steps: Rewards that are summed before a critic says what comes.
         slack_price: Of a cable without tension, where its least tension is missing; 1 is that of
             the mean squared error.
-        trust: Weight of the critics' answer, next to that of errors from MPC's answers: with three
-            times as much a platform swings up, with a third a network hardly changes.
+        trust: Weight of the critics' answer, next to that of errors from MPC's answers.
         rate: Learning rate of the network.
         critic_rate: Of the critics at the start; it falls to a tenth.
         target_rate: Share of the way that the target networks go.
@@ -92,8 +92,9 @@ class Experience:
 
     Attributes:
         numbers: That the network reads, shape (K, m).
-        tension: That was sent [N], shape (K, n).
-        truth: That critics see beside it, shape (K, 9).
+        tension: That the follower was asked for [N], shape (K, n).
+        truth: That critics see beside it: error, ten times its change, and the error of the belief,
+            shape (K, 9).
         error: Distance from the reference [m], shape (K,).
         slack: Tension that cables lack, over the least one, summed, shape (K,).
         cpu_time: [s].
@@ -161,6 +162,8 @@ def try_out(
         log = drive_plant(
             robot, plant, chosen, path, controller, rng, path.duration + CALM_TIME.of(ratios)
         )
+    except (InvalidField, MissingExtra):
+        raise  # that is no matter of driving
     except CarosacError:
         return None
     assert log.position is not None and log.tension is not None
@@ -245,7 +248,11 @@ def refine(
         Demonstrations.load(path) for k, path in enumerate(demonstrations) if not is_held_out(k)
     ]
     layers = _learned(file, network, answers, tries, settings, seed)
-    write_plan_network(output, layers, replace(network.description, seed=seed))
+    description = network.description
+    training = description.training | {"refining_drives": float(settings.drives)}
+    write_plan_network(
+        output, layers, replace(description, seed=seed, scores={}, training=training)
+    )
     return sum(each.cpu_time for each in tries) + time.process_time() - began
 
 
@@ -264,7 +271,8 @@ def _learned(
     n, scale = robot.n, description.tension_scale
     numbers = np.concatenate([each.numbers for each in answers]).astype(np.float64)
     wanted = np.concatenate([each.tension for each in answers]) - usual_tension(robot, numbers)
-    middle, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), 1e-6)
+    least = SPREAD_MIN * input_units(robot, network.settings.stages)
+    middle, spread = numbers.mean(axis=0), np.maximum(numbers.std(axis=0), least)
     data = samples_of(tries, network, settings, middle, spread)
     seen, tried, reward, later = (
         torch.tensor(x, dtype=torch.float32)
