@@ -34,6 +34,10 @@ OTHER_SEEDS = Path(__file__).parent / "plans"
 TITLE, CONTROLLER = "Approximate MPC", "approximate_mpc"
 TIMED_DRIVES = 7  # of each controller, on one plant and path
 PATHS = (*MOVES, SMOOTH)
+HEADER = (  # of `rows_of`
+    "robot", "network", "path", "tracking / sway [mm]", "of MPC", "ratio, 95 % bound",
+    "slack, of MPC [% of the time]", "handed over [% of the cycles]", "failed, of MPC",
+)  # fmt: skip
 NUMBERS = ("rmse", "sway", "slack", "believed", "fallbacks", "cycles", "limited")
 SIGMAS_95 = 1.96
 
@@ -194,15 +198,11 @@ def main() -> None:
         [robot, f"{1e3 * mine:.3f}", f"{1e3 * theirs:.2f}", f"{theirs / mine:.1f}"]
         for robot, (mine, theirs) in times.items()
     ]
-    header = [
-        "robot", "network", "path", "tracking / sway [mm]", "of MPC", "ratio, 95 % bound",
-        "slack, of MPC [% of the time]", "handed over [% of the cycles]", "failed, of MPC",
-    ]  # fmt: skip
     text = [
         f"{asked.seeds} plants drawn from nominal-1, `dynamic_estimator` on lengths and IMU; "
         "bundled networks by the seed of their training, others by their file; ratios of tracking "
         "are means over pairs of runs on one plant and path, and the upper bound of the mean.",
-        "", table(header, rows), "",
+        "", table(HEADER, rows), "",
         f"CPU time of a command in the loop, medians of {TIMED_DRIVES} drives of each on one plant "
         "and path, by turns:",
         "", table(["robot", "network [ms]", "MPC [ms]", "ratio"], clocks), "",

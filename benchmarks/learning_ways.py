@@ -16,6 +16,7 @@ from pathlib import Path
 import carosac_toolkit as ct
 from benchmarks.approximate_mpc import (
     CONTROLLER,
+    HEADER,
     PATHS,
     drive,
     rows_of,
@@ -107,10 +108,7 @@ def ways(folder: Path, seeds: int, robots: list[str], processes: int) -> str:
         for (way, (_, _, spent)), mine in zip(found.items(), others, strict=True):
             rows += rows_of(robot, way, mine, mpc)
             trainings.append([robot, way, f"{spent / 60.0:.1f}"])
-    header = [
-        "robot", "way", "path", "tracking / sway [mm]", "of MPC", "ratio, 95 % bound",
-        "slack, of MPC [% of the time]", "handed over [% of the cycles]", "failed, of MPC",
-    ]  # fmt: skip
+    header = (HEADER[0], "way", *HEADER[2:])
     return (
         f"Seed {SEED} of each training; {seeds} plants drawn from nominal-1, `dynamic_estimator` "
         "on lengths and IMU, the drives of `benchmarks.approximate_mpc`.\n\n"

@@ -27,6 +27,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.base.scaled import resolved
+from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.scales import Scales
 from learned.approximate_mpc.controller import PlanFollower
@@ -35,12 +36,12 @@ from learned.approximate_mpc.demonstrations import (
     Demonstrations,
     DemonstrationSettings,
     Lost,
+    build_drive,
     draw_drive,
-    drive_plant,
 )
 from learned.approximate_mpc.plan_inputs import PlanNumbers, input_units, usual_tension
 from learned.approximate_mpc.plan_network import PLAN_FILE_NAME, PlanNetwork, write_plan_network
-from learned.approximate_mpc.rounds import is_held_out
+from learned.approximate_mpc.rounds import is_held_out, layers_of
 from learned.approximate_mpc.training import HUBER, SPREAD_MIN
 from learned.policy_file import open_network
 from learned.policy_network import Layers
@@ -158,10 +159,10 @@ def try_out(
     rng = np.random.default_rng([seed, number, 17])
     path, plant = draw_drive(robot, chosen, rng)
     controller = Trying(network, settings, rng)
+    driver, estimator = build_drive(robot, plant, chosen, path, controller.period, rng)
+    duration = path.duration + CALM_TIME.of(ratios)
     try:
-        log = drive_plant(
-            robot, plant, chosen, path, controller, rng, path.duration + CALM_TIME.of(ratios)
-        )
+        log = run(driver, estimator, controller, path, duration=duration)
     except (InvalidField, MissingExtra):
         raise  # that is no matter of driving
     except CarosacError:
@@ -332,11 +333,7 @@ def _learned(
             for moving, still in zip([slow, *slow_critics], [actor, *critics], strict=True):
                 for a, b in zip(moving.parameters(), still.parameters(), strict=True):
                     a.lerp_(b, settings.target_rate)
-    linear = [module for module in actor if isinstance(module, torch.nn.Linear)]
-    layers = [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]
-    entry = layers[0][0] / spread.astype(np.float32)
-    layers[0] = (entry, layers[0][1] - entry @ middle.astype(np.float32))
-    return layers
+    return layers_of(actor, middle, spread)
 
 
 def _perceptron(layers: Layers, middle: Array, spread: Array) -> Any:

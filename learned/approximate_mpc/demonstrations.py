@@ -26,8 +26,8 @@ from carosac_toolkit.base.extras import MissingExtra
 from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop import plugins
-from carosac_toolkit.loop.loop import Log, run
-from carosac_toolkit.loop.protocols import Controller
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.protocols import Driver, Estimator
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
@@ -162,10 +162,11 @@ def demonstrate(
     rng = np.random.default_rng([*seed, 13])
     path, plant = draw_drive(robot, chosen, rng)
     controller = _Asking(robot, chosen, mpc, rng, network, reader)
+    driver, estimator = build_drive(robot, plant, chosen, path, controller.period, rng)
     duration = min(path.duration, longest) + CALM_TIME.of(Scales(robot).ratios)
     error, lost = float("nan"), ""
     try:
-        log = drive_plant(robot, plant, chosen, path, controller, rng, duration)
+        log = run(driver, estimator, controller, path, duration=duration)
     except (InvalidField, MissingExtra):
         raise  # that is no matter of driving
     except CarosacError as reason:  # it is lost; what was learned on the way there counts
@@ -187,38 +188,32 @@ def draw_drive(
         NoRest: None could, on many paths.
     """
     condition = find_condition(settings.condition)
-    for k in range(PATH_TRIES_MAX):
+    for _ in range(PATH_TRIES_MAX):
         path = draw_path(robot, settings, rng)
         try:
             return path, draw_resting(robot, condition, path.sample(np.zeros(1)).position[0], rng)
-        except NoRest:
-            if k == PATH_TRIES_MAX - 1:
-                raise
-    raise AssertionError("the last try returns or raises")
+        except NoRest as error:
+            reason = error
+    raise reason
 
 
-def drive_plant(
+def build_drive(
     robot: Robot,
     plant: Robot,
     settings: DemonstrationSettings,
     path: Trajectory,
-    controller: Controller,
+    period: float,
     rng: np.random.Generator,
-    duration: float,
-) -> Log:
-    """Drive a plant along a path, behind sensors and estimator.
+) -> tuple[Driver, Estimator]:
+    """Return a plant where a path begins, behind sensors, and an estimator.
 
     Args:
         robot: The nominal robot.
         plant: That is simulated.
         settings: Settings, with numbers of this robot.
         path: The path.
-        controller: That drives.
-        rng: Draws all noise.
-        duration: After which the drive ends [s].
-
-    Raises:
-        CarosacError: The drive was lost.
+        period: Time between two commands [s].
+        rng: Draws the seed of all noise.
     """
     condition = find_condition(settings.condition)
     kind = plugins.load("drivers", "simulator")
@@ -226,13 +221,12 @@ def drive_plant(
     driver_settings = replace(
         kind.Settings(),
         suite=settings.suite,
-        period=controller.period,
+        period=period,
         start_position=tuple(float(x) for x in start),
         wind_force=condition.of(robot).wind_force,
     )
     driver = kind.build(plant, settled(driver_settings, robot), seed=int(rng.integers(2**31)))
-    estimator = plugins.load("estimators", settings.estimator).build(robot)
-    return run(driver, estimator, controller, path, duration=duration)
+    return driver, plugins.load("estimators", settings.estimator).build(robot)
 
 
 def draw_resting(

@@ -196,7 +196,6 @@ def regress(
     for a, b in pairwise(sizes):
         modules += [torch.nn.Linear(a, b), torch.nn.SiLU()]
     network = torch.nn.Sequential(*modules[:-1], torch.nn.Tanh())
-    linear = [module for module in network if isinstance(module, torch.nn.Linear)]
     optimiser = torch.optim.AdamW(network.parameters(), settings.rate, weight_decay=settings.decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.updates)
     for k in range(settings.updates):
@@ -213,6 +212,18 @@ def regress(
         schedule.step()
         if k % REPORT_EVERY == 0:
             report(k, settings.updates)
+    return layers_of(network, mean, spread)
+
+
+def layers_of(network: Any, mean: Array, spread: Array) -> Layers:
+    """Return weights and biases for numbers as they are.
+
+    Args:
+        network: Of torch, for numbers less their mean, over their spread.
+        mean: Of numbers, shape (m,).
+        spread: Of numbers, shape (m,).
+    """
+    linear = [module for module in network if hasattr(module, "weight")]
     layers = [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]
     first = layers[0][0] / spread.astype(np.float32)
     layers[0] = (first, layers[0][1] - first @ mean.astype(np.float32))
