@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
 from calibration.identification.error_noise import (
     RUNS_APART_MIN,
     PoseErrorNoise,
@@ -142,6 +143,7 @@ class Fitter:
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._wide: _Wide | None = None  # derivatives over some sigmas
+        self._doubts: Doubts | None = None  # by how much these may be wrong
         self._rest: list[Array] = []  # what they make errors wrong by
         self._rest_at = self._first  # where that was found
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
@@ -271,8 +273,10 @@ class Fitter:
         for k in self._kept:
             rows = self._own[k]
             expected = np.einsum("nci,di->dnc", rough[k], told[:, rows])
-            beyond = noise.weights(state.errors[k]) * (errors[k][1:] - errors[k][0] - expected)
-            pull[:, rows] += np.einsum("nci,dnc->di", state.jacobians[k], beyond)
+            beyond = (errors[k][1:] - errors[k][0] - expected).reshape(len(steps), -1)
+            flat = state.jacobians[k].reshape(-1, len(rows))
+            weights = noise.weights(state.errors[k]).ravel()
+            pull[:, rows] += self._product(k, weights, flat, beyond.T).T
         return pull, np.all([good[k][1:] for k in self._kept], axis=0)
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
@@ -291,6 +295,8 @@ class Fitter:
                 noise = self._noise(errors)
             poses = sum(len(run.poses.time) for run in self._runs)
             report(poses, *_rms(np.concatenate(errors)))
+            if self._wide is not None:
+                self._doubts = self._doubted(self._wide, errors, jacobians, noise)
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
             settled = self._promise(at, hessian, gradient) <= least
@@ -328,11 +334,15 @@ class Fitter:
         sums = []
         for k in self._kept:
             own, errors = self._own[k], state.errors[k]
-            scores = np.einsum("nci,nc->ni", state.jacobians[k], noise.weights(errors) * errors)
-            time = self._runs[k].poses.time
-            length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
-            edges = np.arange(0, len(scores), len(scores) if self._many else length)
-            parts = np.add.reduceat(scores, edges, axis=0)
+            weights = noise.weights(errors)
+            if self._many:
+                flat = state.jacobians[k].reshape(-1, len(own))
+                parts = self._product(k, weights.ravel(), flat, errors.reshape(-1, 1)).T
+            else:
+                scores = np.einsum("nci,nc->ni", state.jacobians[k], weights * errors)
+                time = self._runs[k].poses.time
+                length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
+                parts = np.add.reduceat(scores, np.arange(0, len(scores), length), axis=0)
             whole = np.zeros((len(parts), len(information)))
             whole[:, own] = parts
             sums.append(whole)
@@ -479,7 +489,8 @@ class Fitter:
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
         for each other show by less than a hundredth of what each of them does. Those of many
-        recordings are taken over some sigmas, and anew once a search has left them by one.
+        recordings are means of those over some sigmas and those over short steps, and taken anew
+        once a search has left them by a sigma.
 
         All forces and masses by one factor give the same motion, so that those by the mass follow
         from the others. As a difference they would be wrong by a thousandth of themselves, and many
@@ -488,11 +499,11 @@ class Fitter:
         robot = self._searched[: self._count].any() and not starts
         wide = self._wide
         if wide is not None and starts:
-            return [_of_starts(each, self._count) for each in wide.exact]
+            return [_of_starts(each, self._count) for each in wide.jacobians]
         if robot and self._sways and not coarse and hessian is not None:
             if wide is None or wide.is_stale(at, hessian, self._count):
                 wide = self._wide = self._taken_wide(at, hessian)
-            return wide.exact
+            return wide.jacobians
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         alike = robot and self._told_by_alike(searched)
@@ -541,6 +552,7 @@ class Fitter:
         searched = self._searched.copy()
         alike = self._told_by_alike(searched)
         varied, size = self._varied(searched), STEP_OF_MANY
+        near = self._slopes(at, searched, self._time_step)
         robot = moves_along(hessian, at, self._lower, searched, robot=self._count, size=size)
         moves = [
             moves_of_run(*robot, hessian, own, rows, size=size)
@@ -563,9 +575,35 @@ class Fitter:
             change = change + 4.0 / 3.0 * (more[1:] - more[0])
             exact.append(self._by_coordinates(k, rows, move.steps, change))
         if alike:
-            self._fill_alike(rough)
-            self._fill_alike(exact)
-        return _Wide(at=at.copy(), rough=rough, exact=exact)
+            for each in (rough, exact, near):
+                self._fill_alike(each)
+        return _Wide(at=at.copy(), rough=rough, exact=exact, near=near)
+
+    def _doubted(
+        self,
+        wide: _Wide,
+        errors: Sequence[Array],
+        jacobians: Sequence[Array],
+        noise: PoseErrorNoise,
+    ) -> Doubts:
+        """Return by how much derivatives may be wrong, as both kinds differ."""
+        count = self._count
+        runs = []
+        for k, (jacobian, exact, near) in enumerate(
+            zip(jacobians, wide.exact, wide.near, strict=True)
+        ):
+            differs = DOUBT_RATIO * (exact - near)
+            flat, doubt = (each.reshape(errors[k].size, -1) for each in (jacobian, differs))
+            weights = noise.weights(errors[k]).ravel() * float(self._followed[k])
+            runs.append(
+                RunDerivatives(
+                    robot=flat[:, :count],
+                    start=flat[:, count:],
+                    doubt=doubt[:, :count],
+                    weights=weights,
+                )
+            )
+        return Doubts.of(runs, self._precision[:count, :count])
 
     def _varied(self, searched: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
         """Return by which coordinates each run is differenced."""
@@ -633,12 +671,18 @@ class Fitter:
         information = np.zeros_like(self._precision)
         gradient = self._precision @ at
         for k in self._kept:
-            own, error, jacobian = self._own[k], errors[k], jacobians[k]
-            weights = noise.weights(error).reshape(-1, 1)
-            flat = jacobian.reshape(-1, len(own))
-            information[np.ix_(own, own)] += flat.T @ (weights * flat)
-            gradient[own] += flat.T @ (weights[:, 0] * error.ravel())
+            own, error = self._own[k], errors[k]
+            flat, weights = jacobians[k].reshape(-1, len(own)), noise.weights(error).ravel()
+            information[np.ix_(own, own)] += self._product(k, weights, flat, flat)
+            gradient[own] += self._product(k, weights, flat, error.reshape(-1, 1))[:, 0]
         return information, gradient
+
+    def _product(self, k: int, weights: Array, left: Array, right: Array) -> Array:
+        """Return left^T W right, (N, a) and (N, b), of errors of a run with weights (N,)."""
+        plain = left.T @ (weights[:, None] * right)
+        if self._doubts is None:
+            return np.asarray(plain)
+        return np.asarray(plain - self._doubts.lost(k, weights, left, right))
 
     @property
     def _kept(self) -> list[int]:
@@ -651,8 +695,16 @@ class Fitter:
 
     def _cost(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
         """Return the cost of errors of all runs, with the prior."""
-        data = sum(noise.cost(errors[k]) for k in self._kept)
+        data = sum(self._cost_of(k, errors[k], noise) for k in self._kept)
         return float(data + at @ self._precision @ at)
+
+    def _cost_of(self, k: int, errors: Array, noise: PoseErrorNoise) -> float:
+        """Return the cost of errors (K, 6) of a run."""
+        cost = noise.cost(errors)
+        if self._doubts is None:
+            return cost
+        flat = errors.reshape(-1, 1)
+        return cost - float(self._doubts.lost(k, noise.weights(errors).ravel(), flat, flat)[0, 0])
 
     def _search(
         self,
@@ -725,7 +777,7 @@ class Fitter:
         for k, (each, exists) in enumerate(zip(errors, sound, strict=True)):
             rows = self._own[k][self._count :]
             costs = np.array([
-                noise.cost(error) + float(way[rows] @ way[rows]) if fine else np.inf
+                self._cost_of(k, error, noise) + float(way[rows] @ way[rows]) if fine else np.inf
                 for error, way, fine in zip(each, ways.reshape(-1, len(at)), exists, strict=True)
             ]).reshape(ways.shape[:2])  # fmt: skip
             best = np.argmin(costs, axis=1)
@@ -831,9 +883,9 @@ class Fitter:
         point, found = at.copy(), list(errors)
         for k in self._kept:
             rows = own[k]
-            lowest = noise.cost(errors[k]) + float(at[rows] @ at[rows])
+            lowest = self._cost_of(k, errors[k], noise) + float(at[rows] @ at[rows])
             for each, error, sound in zip(trial[:, rows], trials[k], good[k], strict=True):
-                cost = noise.cost(error) + float(each @ each)
+                cost = self._cost_of(k, error, noise) + float(each @ each)
                 if sound and cost < lowest:
                     lowest, point[rows], found[k] = cost, each, error
         return point, found
@@ -894,11 +946,18 @@ class _Wide:
         at: All coordinates where they were taken.
         rough: Of the time steps of the search.
         exact: Of vanishing ones.
+        near: Over short steps, of the time steps of the search.
     """
 
     at: Array
     rough: list[Array]
     exact: list[Array]
+    near: list[Array]
+
+    @property
+    def jacobians(self) -> list[Array]:
+        """Means of the exact ones and of those over short steps."""
+        return [0.5 * (exact + near) for exact, near in zip(self.exact, self.near, strict=True)]
 
     def is_stale(self, at: Array, hessian: Array, robot: int) -> bool:
         """Say whether a search has left them by more than a sigma of each coordinate of the robot.

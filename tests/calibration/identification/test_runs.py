@@ -142,7 +142,8 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(at, errors, exact, noise)
-    return fitter, at, errors, noise, fit._Wide(at=at, rough=rough, exact=exact), information
+    wide = fit._Wide(at=at, rough=rough, exact=exact, near=rough)
+    return fitter, at, errors, noise, wide, information
 
 
 def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near, monkeypatch):

@@ -1,0 +1,99 @@
+"""Derivatives that may be wrong tell less; what they tell is as far off as they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
+
+ERRORS, ROBOT, START = 60, 5, 2
+PRIOR = np.eye(ROBOT)
+
+
+def draw_run(rng, *, wrong: float) -> RunDerivatives:
+    return RunDerivatives(
+        robot=rng.standard_normal((ERRORS, ROBOT)),
+        start=rng.standard_normal((ERRORS, START)),
+        doubt=wrong * rng.standard_normal((ERRORS, ROBOT)),
+        weights=rng.uniform(0.5, 2.0, ERRORS),
+    )
+
+
+def test_exact_derivatives_lose_nothing():
+    rng = np.random.default_rng(0)
+    runs = [draw_run(rng, wrong=0.0) for _ in range(3)]
+    doubts = Doubts.of(runs, PRIOR)
+    left = PRIOR.copy()
+    for k, run in enumerate(runs):
+        both = np.hstack([run.robot, run.start])
+        assert not doubts.lost(k, run.weights, both, both).any()
+        information = both.T @ (run.weights[:, None] * both)
+        information[ROBOT:, ROBOT:] += np.eye(START)
+        left += np.linalg.inv(np.linalg.inv(information)[:ROBOT, :ROBOT])  # the start is unknown
+    assert doubts.precision == pytest.approx(left)
+
+
+def test_doubt_is_a_further_covariance_of_what_is_predicted():
+    rng = np.random.default_rng(1)
+    runs = [draw_run(rng, wrong=0.3) for _ in range(3)]
+    doubts = Doubts.of(runs, PRIOR)
+    left, right = rng.standard_normal((2, ERRORS, 4))
+    precision = PRIOR.copy()
+    for k, run in enumerate(runs):
+        noise = np.diag(1.0 / run.weights)
+        covariance = noise + doubts.slopes[k] @ np.linalg.solve(
+            doubts.precision, doubts.slopes[k].T
+        )
+        kept = left.T @ np.linalg.solve(covariance, right)
+        plain = left.T @ (run.weights[:, None] * right)
+        assert plain - doubts.lost(k, run.weights, left, right) == pytest.approx(kept)
+        side, _ = run.beside_start()
+        precision += side.T @ np.linalg.solve(covariance, side)
+    assert np.linalg.norm(doubts.precision - precision) < 0.01 * np.linalg.norm(precision)
+
+
+def test_a_start_makes_up_for_what_moves_the_platform_alike():
+    rng = np.random.default_rng(2)
+    run = draw_run(rng, wrong=0.0)
+    doubt = run.start @ rng.standard_normal((START, ROBOT))
+    doubts = Doubts.of([RunDerivatives(**(vars(run) | {"doubt": doubt}))], PRIOR)
+    assert np.linalg.norm(doubts.slopes[0]) < 0.1 * np.linalg.norm(doubt)
+
+
+def test_parameters_are_as_far_off_as_derivatives_that_differ_say():
+    """The right derivatives of some runs are anywhere between two kinds that differ."""
+    rng = np.random.default_rng(3)
+    squares = {"believed": [], "doubted": []}
+    for _ in range(50):
+        true, runs, right, rest = rng.standard_normal(ROBOT), [], [], []
+        for k in range(6):
+            run = draw_run(rng, wrong=0.0)
+            differs = np.zeros((ERRORS, ROBOT))
+            if k < 4:
+                differs[:, 0] = 6.0 * rng.standard_normal(ERRORS)
+            right.append(run.robot)
+            seen = run.robot + rng.uniform(-0.5, 0.5) * differs  # the mean of both
+            noise = rng.standard_normal(ERRORS) / np.sqrt(run.weights)
+            rest.append(run.start @ rng.standard_normal(START) + noise)
+            runs.append(RunDerivatives(**(vars(run) | {"robot": seen, "doubt": differs})))
+        for name, size in (("believed", 0.0), ("doubted", DOUBT_RATIO)):
+            taken = [RunDerivatives(**(vars(r) | {"doubt": size * r.doubt})) for r in runs]
+            squares[name].append(squared_error(taken, right, rest, true))
+    assert np.mean(squares["believed"]) > 10.0  # sigmas are far too small
+    assert 0.7 < np.mean(squares["doubted"]) < 1.7
+
+
+def squared_error(runs, right, rest, true) -> float:
+    """Search, and return the squared error of the first parameter over its variance."""
+    doubts = Doubts.of(runs, PRIOR)
+    found = np.zeros(ROBOT)
+    for _ in range(30):
+        gradient = -PRIOR @ found
+        for k, (run, slope) in enumerate(zip(runs, right, strict=True)):
+            error = slope @ (true - found) + rest[k]
+            side, _ = run.beside_start()
+            lost = doubts.lost(k, run.weights, side, error[:, None])[:, 0]
+            gradient += side.T @ (run.weights * error) - lost
+        found += 0.5 * np.linalg.solve(doubts.precision, gradient)
+    return float((found - true)[0] ** 2 / np.linalg.inv(doubts.precision)[0, 0])
