@@ -187,6 +187,7 @@ class Fitter:
 
     def _settled(self, at: Array, report: ProgressCallback) -> CoordinateFit:
         """Search from there with all poses."""
+        whole = self._runs
         self._runs = tuple(run.first(1.0) for run in self._runs)
         state = self._settle(at, None, report)
         at = state.at
@@ -200,8 +201,10 @@ class Fitter:
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         spread = self._spread(state, noise, root, inverse)
         information /= self._axes * excess
-        for k, start in zip(left_out, self._anew(at, left_out), strict=True):
-            at[self._own[k][self._count :]] = start
+        if left_out:
+            apart = self._beside(at, [whole[k] for k in left_out])
+            for k, start in zip(left_out, apart.starts(), strict=True):
+                at[self._own[k][self._count :]] = start
         return CoordinateFit(
             coordinates=at[own],
             spread=spread,
@@ -857,11 +860,12 @@ class Fitter:
 
     def _anew(self, at: Array, which: Sequence[int]) -> tuple[Array, ...]:
         """Return starts that suit the robot of some runs, found from their first guesses."""
-        if not len(which):
-            return ()
-        runs = [self._runs[k] for k in which]
-        fitter = Fitter(self._unknowns, runs, self._settings, robot_at=at[: self._count])
+        fitter = self._beside(at, [self._runs[k] for k in which])
         return fitter._starts(fitter._suited(fitter._first))
+
+    def _beside(self, at: Array, runs: Sequence[FittedRun]) -> Fitter:
+        """Return a search for the starts of some runs beside the robot of coordinates."""
+        return Fitter(self._unknowns, runs, self._settings, robot_at=at[: self._count])
 
     def _restarted(
         self, at: Array, errors: list[Array], noise: PoseErrorNoise
