@@ -40,6 +40,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.recordings.encoders import unstrained_lengths
 from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.parameters import values_of
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import hanging
@@ -51,6 +52,9 @@ PULLEY_RADIUS_M = 0.04
 DRAWN_SIGMAS_MAX = 2.0  # prior sigmas: no truth is drawn farther away
 FRICTION_SIGMAS = (0.7, 2.0)  # range of dry friction, in its prior sigmas
 FRICTION = ("exit_friction", "anchor_friction")
+# Beside the factors of an estimate, what one factor of all forces and masses multiplies: motion
+# hardly tells it, so that all of these are known along a line of their logarithms.
+ALIKE = ("inertia", *FRICTION)
 # A robot whose geometry was surveyed and whose lengths were calibrated; winches are locked.
 SURVEYED = IdentificationSettings(
     exit_points=1e-3, anchor_points=5e-4, length_offset=2e-3, length_scale=0.0, length_delay=0.0,
@@ -85,7 +89,8 @@ class Score:
         friction: The same of dry moments [1].
         tilt: [rad].
         center: Of mass [m].
-        nees: Normalised squared error of the parameters, over their number [1].
+        nees: Normalised squared error of the parameters, over their number; of all that is in
+            proportion to forces or masses, that of logarithms [1].
         beyond: Parameters that are off by more than three sigmas.
         worst: The worst of them.
         count: How many parameters were identified.
@@ -112,7 +117,10 @@ class Score:
 def score(result: Identification, plant: Robot, runs: list[Recording]) -> Score:
     """Compare an identified robot with the true one."""
     estimate = result.estimate
-    off = estimate.value - values_of(plant, estimate.names)
+    true = values_of(plant, estimate.names)
+    factor = [name in estimate.factors or field_of(name) in ALIKE for name in estimate.names]
+    off = estimate.value - true
+    off[factor] = estimate.value[factor] * np.log(estimate.value[factor] / true[factor])
     shares = off / estimate.sigma
     worst = int(np.argmax(np.abs(shares)))
 
