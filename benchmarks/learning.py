@@ -15,6 +15,8 @@ predictive control, input shaping and inverse kinematics on the same moves.
 in the box, behind two estimators.
 ``python -m benchmarks.learning --parts ways --runs DIR --seeds 15``: learned from scratch,
 distilled and both, after as much CPU time; trains what is missing in DIR, an hour a robot.
+``python -m benchmarks.learning --parts ablation --runs DIR``: the paper's own training, changed;
+trains what is missing in DIR, over two hours of one core.
 ``python -m benchmarks.learning --parts recording --recording FILE --robot FILE --policies FILE``:
 lengths commanded to a simulator that was fitted to the recorded robot.
 """
@@ -93,6 +95,13 @@ def ways_part(asked: argparse.Namespace) -> tuple[str, str]:
     return part.TITLE, part.ways(asked.runs[0], asked.seeds, asked.robots, asked.processes)
 
 
+def ablation_part(asked: argparse.Namespace) -> tuple[str, str]:
+    """Title and text."""
+    from benchmarks import learning_ablation as part
+
+    return part.TITLE, part.ablation(asked.runs[0], asked.processes)
+
+
 Part = Callable[[argparse.Namespace], tuple[str, str]]
 PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it needs
     "throughput": (throughput_part, ()),
@@ -103,6 +112,7 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it n
     "drive": (drive_part, ()),
     "low": (low_part, ()),
     "ways": (ways_part, ("runs",)),
+    "ablation": (ablation_part, ("runs",)),
     "recording": (recording_part, ("recording", "robot", "policies")),
 }
 
@@ -140,7 +150,8 @@ def main() -> None:
         if not asked.print_only:
             command = "make bench" if name == "throughput" else f"{COMMAND} --parts {name}"
             command += f" --seeds {asked.seeds}" if name in ("drive", "ways") else ""
-            command += f" --robots {' '.join(asked.robots)} --runs DIR" if name == "ways" else ""
+            command += f" --robots {' '.join(asked.robots)}" if name == "ways" else ""
+            command += " --runs DIR" if name in ("ways", "ablation") else ""
             write_section(f"learning:{name}", title, command, text)
 
 
