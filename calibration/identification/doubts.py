@@ -24,8 +24,8 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 
 # Of derivatives that are means of two kinds, how wrong they may be, over how much both differ. If
-# the right ones are anywhere between, squared errors of simulated parameters are 1.4 times what
-# sigmas say; with a ratio of 1 they are up to twice that, and with 4 hardly less.
+# the right ones are anywhere between, squared errors of parameters are 1.4 times what sigmas say in
+# simulated regressions (see the tests); with a ratio of 1 up to twice that, with 4 hardly less.
 DOUBT_RATIO = 2.0
 ROUNDS_MAX = 200  # of the repetition
 ROUND_CHANGE_MAX = 1e-4  # of the logarithm of the information's determinant, in the last one

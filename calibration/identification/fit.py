@@ -193,6 +193,8 @@ class Fitter:
         at = state.at
         left_out = [k for k, followed in enumerate(self._followed) if not followed]
         noise = self._noise(state.errors)
+        if self._wide is not None:
+            self._doubts = self._doubted(self._wide, state.errors, state.jacobians, noise)
         information, _ = self._normal(at, state.errors, state.jacobians, noise)
         inverse = np.linalg.inv(information + self._precision)
         excess = self._excess(state, noise, information, inverse)
@@ -492,8 +494,8 @@ class Fitter:
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
         for each other show by less than a hundredth of what each of them does. Those of many
-        recordings are means of those over some sigmas and those over short steps, and taken anew
-        once a search has left them by a sigma.
+        recordings are means of those over some sigmas and those over short steps, of longer time
+        steps, and taken anew once a search has left them by a sigma.
 
         All forces and masses by one factor give the same motion, so that those by the mass follow
         from the others. As a difference they would be wrong by a thousandth of themselves, and many
