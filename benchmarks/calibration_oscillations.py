@@ -118,7 +118,8 @@ def score(result: Identification, plant: Robot, runs: list[Recording]) -> Score:
     """Compare an identified robot with the true one."""
     estimate = result.estimate
     true = values_of(plant, estimate.names)
-    factor = [name in estimate.factors or field_of(name) in ALIKE for name in estimate.names]
+    alike = [name in estimate.factors or field_of(name) in ALIKE for name in estimate.names]
+    factor = np.array(alike) & (estimate.value > 0.0)  # friction may be found to be none
     off = estimate.value - true
     off[factor] = estimate.value[factor] * np.log(estimate.value[factor] / true[factor])
     shares = off / estimate.sigma
