@@ -241,6 +241,45 @@ def test_with_its_bend_a_draw_fits_as_its_derivatives_promise(near):
     assert found.draws == pytest.approx(draws[:, own])
 
 
+def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
+    fitter, at, errors, noise, alike, _ = near
+    inertia = fitter._names.index("inertia.xx")
+    alike = replace(alike, near=alike.exact)
+    other = [each.copy() for each in alike.exact]
+    other[2][:, :, inertia] *= -3.0  # of one run
+    differing = replace(alike, near=other)
+
+    def doubt(wide):
+        monkeypatch.setattr(fitter, "_doubts", None)
+        believed, _ = fitter._normal(at, errors, wide.jacobians, noise)
+        doubts = fitter._doubted(wide, errors, wide.jacobians, noise)
+        monkeypatch.setattr(fitter, "_doubts", doubts)
+        return believed, *fitter._normal(at, errors, wide.jacobians, noise)
+
+    believed, doubted, _ = doubt(alike)
+    assert doubted == pytest.approx(believed, abs=1e-9 * np.abs(believed).max())
+    believed, doubted, gradient = doubt(differing)
+    lost = believed - doubted
+    assert np.linalg.eigvalsh(lost).min() > -1e-9 * np.abs(believed).max()
+    own = fitter._own[2]
+    assert not np.delete(np.delete(lost, own, 0), own, 1).any()  # starts of others
+    assert lost[inertia, inertia] > 1.0  # more than was known before
+    jacobians = differing.jacobians
+    step = 1e-3 * np.linalg.solve(doubted + fitter._precision, gradient)
+    behind, ahead = (
+        fitter._cost(
+            at + side * step,
+            [
+                error + side * jacobian @ step[rows]
+                for error, jacobian, rows in zip(errors, jacobians, fitter._own, strict=True)
+            ],
+            noise,
+        )
+        for side in (-1.0, 1.0)
+    )
+    assert ahead - behind == pytest.approx(4.0 * gradient @ step, rel=0.05)  # it is its slope
+
+
 def test_a_lost_start_is_found_again(plant, runs):
     fitter = fitter_of(plant, runs)
     at = fitter._suited(fitter._first)
