@@ -49,6 +49,7 @@ POSE_SHARES = (
 )  # of the poses, from the first: later ones would be out of phase at first
 SHARES_OF_MANY = (0.04, 0.12, 0.35, 1.0)  # of those of many recordings, which may begin with a jolt
 STEPS_PER_SHARE = 4  # for each share but the last
+ROUGH_STEPS_MAX = 4  # with all poses of a sway, before derivatives over sigmas are taken
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
 CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
@@ -142,6 +143,7 @@ class Fitter:
             + [run.sway.guess for run in runs]
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
+        self._near: _Near | None = None  # over short steps of a sway
         self._wide: _Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
         self._rest: list[Array] = []  # what they make errors wrong by
@@ -290,7 +292,7 @@ class Fitter:
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
         coarse = steps is not None or not (self._sways and alone)
         errors = self._errors_at(at)
-        least = SETTLED_DECREASE * self._axes
+        least, near = SETTLED_DECREASE * self._axes, STALE_SIGMAS**2 * self._count
         if self._many:
             least = (PART_DECREASE if steps else MANY_DECREASE) * self._count
         for count in range(1, (steps or self._settings.iterations) + 1):
@@ -304,10 +306,11 @@ class Fitter:
                 self._doubts = self._doubted(self._wide, errors, jacobians, noise)
             information, gradient = self._normal(at, errors, jacobians, noise)
             hessian = information + self._precision
-            settled = self._promise(at, hessian, gradient) <= least
-            stuck = False
+            rough = coarse and self._sways and steps is None
+            promise = self._promise(self._bounded(at, hessian, gradient), hessian, gradient)
+            settled, stuck = promise <= (near if rough else least), False
             if not settled or (self._sways and not coarse):  # by exact derivatives, a last one too
-                step = self._search(at, hessian, gradient, errors, noise, damping)
+                step = self._search(at, hessian, gradient, errors, noise, damping, least)
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
@@ -316,12 +319,12 @@ class Fitter:
             ended = settled or stuck
             if ended and final:
                 break
-            if ended or (self._sways and steps is None):  # a step of sways by coarse ones will do
-                if coarse and self._sways:
+            if ended or count == ROUGH_STEPS_MAX:
+                if rough:
                     self._leave_out(at, errors)
                     information, _ = self._normal(at, errors, jacobians, noise)
                     hessian = information + self._precision
-                coarse = False
+                coarse &= not (ended or rough)
         settled &= final
         return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
@@ -509,6 +512,9 @@ class Fitter:
             if wide is None or wide.is_stale(at, hessian, self._count):
                 wide = self._wide = self._taken_wide(at, hessian)
             return wide.jacobians
+        near = self._near
+        if robot and near is not None and near.runs is self._runs and np.array_equal(near.at, at):
+            return near.jacobians
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         alike = robot and self._told_by_alike(searched)
@@ -519,6 +525,8 @@ class Fitter:
             jacobians = [each + own for each, own in zip(jacobians, more, strict=True)]
         if alike:
             self._fill_alike(jacobians)
+        if robot and self._sways:
+            self._near = _Near(at=at.copy(), runs=self._runs, jacobians=jacobians)
         return jacobians
 
     def _told_by_alike(self, searched: NDArray[np.bool_]) -> bool:
@@ -557,7 +565,6 @@ class Fitter:
         searched = self._searched.copy()
         alike = self._told_by_alike(searched)
         varied, size = self._varied(searched), STEP_OF_MANY
-        near = self._slopes(at, searched, self._time_step)
         robot = moves_along(hessian, at, self._lower, searched, robot=self._count, size=size)
         moves = [
             moves_of_run(*robot, hessian, own, rows, size=size)
@@ -580,8 +587,9 @@ class Fitter:
             change = change + 4.0 / 3.0 * (more[1:] - more[0])
             exact.append(self._by_coordinates(k, rows, move.steps, change))
         if alike:
-            for each in (rough, exact, near):
+            for each in (rough, exact):
                 self._fill_alike(each)
+        near = self._jacobians(at, coarse=True)
         return _Wide(at=at.copy(), rough=rough, exact=exact, near=near)
 
     def _doubted(
@@ -719,16 +727,22 @@ class Fitter:
         errors: list[Array],
         noise: PoseErrorNoise,
         damping: float,
+        least: float,
     ) -> _Step:
         """Search a Levenberg-Marquardt step that lowers the cost.
+
+        It gives up once steps are damped so much that none promises more than the `least` decrease.
 
         Returns:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
         """
         lowest = self._cost(at, errors, noise)
-        for _ in range(DAMPING_TRIES_MAX):
+        for tried in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
             if self._sways:
+                ways = [self._promise(each * step, hessian, gradient) for each in SWAY_STRETCHES]
+                if tried and max(ways) <= least:
+                    break
                 points, trials, good = self._follow(at, step, hessian, gradient, noise)
             else:
                 points = np.array([self._moved(at, stretch * step) for stretch in STRETCHES])
@@ -896,18 +910,22 @@ class Fitter:
                     lowest, point[rows], found[k] = cost, each, error
         return point, found
 
-    def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
-        """Return by how much a whole Gauss-Newton step would lower the cost.
+    def _promise(self, step: Array, hessian: Array, gradient: Array) -> float:
+        """Return by how much a step would lower a quadratic cost.
 
-        Of many recordings, beyond what their starts alone would: each has some of its own.
+        Of many recordings, beyond what their starts alone would, which follow the robot: each has
+        some of its own.
         """
-        step = self._bounded(at, hessian, gradient)
-        promise = float(-(2.0 * gradient + hessian @ step) @ step)
-        if self._many and self._searched[: self._count].any():
-            start = np.flatnonzero(self._searched[self._count :]) + self._count
-            pull = gradient[start]
-            promise -= float(pull @ np.linalg.solve(hessian[np.ix_(start, start)], pull))
-        return promise
+        if not (self._many and self._searched[: self._count].any()):
+            return float(-(2.0 * gradient + hessian @ step) @ step)
+        own = np.flatnonzero(self._searched[: self._count])
+        start = np.flatnonzero(self._searched[self._count :]) + self._count
+        robot, cross = step[own], hessian[np.ix_(start, own)]
+        pull = gradient[start]
+        both = np.linalg.solve(hessian[np.ix_(start, start)], np.column_stack([pull, cross]))
+        left = hessian[np.ix_(own, own)] - cross.T @ both[:, 1:]
+        slope = gradient[own] - cross.T @ both[:, 0]
+        return float(-(2.0 * slope + left @ robot) @ robot)
 
     def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return a damped step."""
@@ -942,6 +960,21 @@ class Fitter:
         own = slice(self._count)
         moved[own] = self._unknowns.moved(at[own], step[own])
         return np.asarray(np.maximum(moved, self._lower))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Near:
+    """Derivatives over short steps, by the time steps of the search.
+
+    Attributes:
+        at: All coordinates where they were taken.
+        runs: Of which, the same object.
+        jacobians: Of errors of each run, shape (K, 6, p).
+    """
+
+    at: Array
+    runs: tuple[FittedRun, ...]
+    jacobians: list[Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
