@@ -12,6 +12,7 @@ from carosac_toolkit.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from calibration.estimate import ParameterEstimate
+    from calibration.identification.frequencies import FrequencyTable, load_frequencies
     from calibration.identification.procedure import identify, identify_runs
     from calibration.identification.result import Identification
     from calibration.identification.settings import IdentificationSettings
@@ -80,6 +81,7 @@ _MODULES = {
     "CalibrationResult": "result",
     "Distance": "self_calibration.settings",
     "DrawnSurvey": "tachymeter.synthetic",
+    "FrequencyTable": "identification.frequencies",
     "Identification": "identification.result",
     "IdentificationSettings": "identification.settings",
     "Instrument": "tachymeter.observations",
@@ -128,6 +130,7 @@ _MODULES = {
     "holds_motor_angles": "self_calibration.motor_angle_files",
     "identify": "identification.procedure",
     "identify_runs": "identification.procedure",
+    "load_frequencies": "identification.frequencies",
     "load_motor_angles": "self_calibration.motor_angle_files",
     "measure_motor_angles": "self_calibration.synthetic",
     "read_survey": "tachymeter.survey_files",
@@ -146,6 +149,7 @@ __all__ = [
     "CalibrationResult",
     "Distance",
     "DrawnSurvey",
+    "FrequencyTable",
     "Identification",
     "IdentificationSettings",
     "Instrument",
@@ -194,6 +198,7 @@ __all__ = [
     "holds_motor_angles",
     "identify",
     "identify_runs",
+    "load_frequencies",
     "load_motor_angles",
     "measure_motor_angles",
     "read_survey",

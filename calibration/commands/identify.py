@@ -25,6 +25,7 @@ from typing import Annotated
 import tyro
 
 from calibration.identification.effects import remaining_effects
+from calibration.identification.frequencies import load_frequencies
 from calibration.identification.procedure import identify, identify_runs
 from calibration.identification.report import report_content
 from calibration.identification.result import Identification
@@ -53,6 +54,7 @@ COMMAND_OPTIONS = (
     "robot",
     "train",
     "test",
+    "frequencies",
     "report",
     "json",
     "seed",
@@ -79,6 +81,9 @@ class Options(CommonOptions):
     rest or in motion. Several recordings are fitted as a whole."""
     test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Of one recording: samples that are scored only; by default all after those of --train."""
+    frequencies: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """CSV table of natural frequencies that were measured at rest, fitted beside the recordings:
+    columns unstrained_length_01_m ..., frequency_Hz, sigma_Hz, and mode or shape_x_m ..."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; never over the old one."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -98,10 +103,16 @@ def run(options: Options) -> CommandResult:
     folder = options.report or _default_folder(paths, robot_source)
     check_folder("--report", folder)
     names = [path.name for path in paths]
+    measured = None
+    if options.frequencies is not None:
+        measured = load_frequencies(options.frequencies, robot_source.robot)
     steps = _Steps(robot_source.robot)
     if len(given) == 1:
         train, test = _ranges(options, recordings[0])
-        result = identify(recordings[0], robot_source.robot, train=train, test=test, report=steps)
+        result = identify(
+            recordings[0], robot_source.robot, train=train, test=test, frequencies=measured,
+            report=steps,
+        )  # fmt: skip
         ranges = ["--train", f"{train[0]}:{train[1]}"]
         ranges += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
         fitted = f"samples {train[0]}:{train[1]} of {names[0]}"
@@ -110,7 +121,7 @@ def run(options: Options) -> CommandResult:
         count = len(options.recordings)
         result = identify_runs(
             recordings[:count], robot_source.robot, held_out=recordings[count:], names=names,
-            report=steps,
+            frequencies=measured, report=steps,
         )  # fmt: skip
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
@@ -119,6 +130,7 @@ def run(options: Options) -> CommandResult:
     effects = found if isinstance(found, ResidualEffects) else None
     print()
     _print(result, effects)
+    ranges += ["--frequencies", str(options.frequencies)] if options.frequencies else []
     command = [
         "carosac", "identify", *options.recordings, "--robot", robot_source.name, *ranges,
         *option_words(options, COMMAND_OPTIONS),

@@ -16,6 +16,7 @@ from calibration.identification.error_noise import (
     PoseErrorNoise,
     estimate_noise,
 )
+from calibration.identification.frequencies import FrequencyTable, KnownFrequencies
 from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, simulate_runs
 from calibration.identification.runs import FittedRun
 from calibration.identification.settings import IdentificationSettings
@@ -107,6 +108,7 @@ class Fitter:
         settings: IdentificationSettings,
         *,
         robot_at: Array | None = None,
+        frequencies: FrequencyTable | None = None,
     ) -> None:
         """Take the data.
 
@@ -116,6 +118,7 @@ class Fitter:
             settings: Settings of the computation.
             robot_at: Coordinates (k,) at which the robot is held, so that only the starts of the
                 runs are searched; None: they are searched too.
+            frequencies: Measured beside the recordings; None: none.
         """
         self._unknowns = unknowns
         self._runs = tuple(runs)
@@ -137,7 +140,9 @@ class Fitter:
         self._mass = self._names.index("mass") if "mass" in self._names else -1
         self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
-        self._precision = block_diag(unknowns.prior.information, np.eye(loose))
+        self._prior = block_diag(unknowns.prior.information, np.eye(loose))
+        self._precision = self._prior  # of the prior, and of measured frequencies
+        self._frequencies = None if frequencies is None else KnownFrequencies(frequencies, unknowns)
         self._first = np.concatenate(
             [unknowns.prior.mean if robot_at is None else robot_at]
             + [run.sway.guess for run in runs]
@@ -212,7 +217,7 @@ class Fitter:
         return CoordinateFit(
             coordinates=at[own],
             spread=spread,
-            information=self._marginal(information),
+            information=self._marginal(information) + (self._precision - self._prior)[own, own],
             starts=self._starts(at),
             excess=excess,
             iterations=state.count,
@@ -680,9 +685,17 @@ class Fitter:
         jacobians: Sequence[Array],
         noise: PoseErrorNoise,
     ) -> tuple[Array, Array]:
-        """Return the information of the data, and the gradient with the prior."""
-        information = np.zeros_like(self._precision)
-        gradient = self._precision @ at
+        """Return the information of the recordings, and the gradient with all else.
+
+        Measured frequencies are taken up in what is known beside the recordings.
+        """
+        information = np.zeros_like(self._prior)
+        gradient = self._prior @ at
+        if self._frequencies is not None:
+            robot = slice(self._count)
+            self._precision = self._prior.copy()
+            self._precision[robot, robot] += self._frequencies.information(at[robot])
+            gradient[robot] += self._frequencies.gradient(at[robot])
         for k in self._kept:
             own, error = self._own[k], errors[k]
             flat, weights = jacobians[k].reshape(-1, len(own)), noise.weights(error).ravel()
@@ -707,9 +720,11 @@ class Fitter:
         return estimate_noise([errors[k] for k in self._kept])
 
     def _cost(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
-        """Return the cost of errors of all runs, with the prior."""
+        """Return the cost of errors of all runs, with all else that is known."""
         data = sum(self._cost_of(k, errors[k], noise) for k in self._kept)
-        return float(data + at @ self._precision @ at)
+        if self._frequencies is not None:
+            data += self._frequencies.cost(at[: self._count])
+        return float(data + at @ self._prior @ at)
 
     def _cost_of(self, k: int, errors: Array, noise: PoseErrorNoise) -> float:
         """Return the cost of errors (K, 6) of a run."""

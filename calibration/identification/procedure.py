@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.identification.error_noise import RUNS_APART_MIN
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
+from calibration.identification.frequencies import ComparedFrequencies, FrequencyTable
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.model_error import JudgedError, Residuals, judge_model_error
 from calibration.identification.open_loop import (
@@ -80,6 +81,7 @@ def identify(
     *,
     train: Range,
     test: Range | None = None,
+    frequencies: FrequencyTable | None = None,
     report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
@@ -95,6 +97,7 @@ def identify(
         settings: None takes the defaults.
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.
+        frequencies: Measured natural frequencies that are fitted too; None: none.
         report: Called before each step with the number of poses that it looks at, from the first,
             and their RMS errors [m] and [rad].
 
@@ -104,7 +107,7 @@ def identify(
         CarosacError: The robot cannot be simulated on these lengths.
     """
     part = _Part(name="recording", recording=recording, train=train, test=test)
-    return _identify([part], robot, settings, report)
+    return _identify([part], robot, settings, report, frequencies)
 
 
 def identify_runs(
@@ -114,6 +117,7 @@ def identify_runs(
     *,
     held_out: Sequence[Recording] = (),
     names: Sequence[str] | None = None,
+    frequencies: FrequencyTable | None = None,
     report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit one robot to the poses of several recordings; see `identify`.
@@ -128,6 +132,7 @@ def identify_runs(
         settings: None takes the defaults.
         held_out: Scored only; nothing but their first motion is fitted to them.
         names: Of `recordings`, then of `held_out`; None numbers them.
+        frequencies: Measured natural frequencies that are fitted too; None: none.
         report: Called before each step with the number of poses that it looks at, and their RMS
             errors [m] and [rad].
 
@@ -153,7 +158,7 @@ def identify_runs(
         for k, (name, recording) in enumerate(zip(called, every, strict=True))
         for whole in [(0, len(recording.time))]
     ]
-    return _identify(parts, robot, settings, report)
+    return _identify(parts, robot, settings, report, frequencies)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,8 +202,11 @@ def _identify(
     robot: Robot,
     settings: IdentificationSettings | None,
     report: ProgressCallback,
+    frequencies: FrequencyTable | None,
 ) -> Identification:
     """Identify a robot from parts of recordings, first those that are fitted."""
+    if frequencies is not None:
+        frequencies.check(robot)
     chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
     poses = [_check(part, robot) for part in parts]
     _check_motion(robot, parts, poses)
@@ -215,20 +223,25 @@ def _identify(
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
     if any(windows):
-        nearly = Fitter(unknowns, _spread(trained, APPROACH_RUNS_MAX), chosen).approach(report)
+        some = _spread(trained, APPROACH_RUNS_MAX)
+        nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
         windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
         runs = prepare(windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
-        fit = Fitter(unknowns, trained, chosen).finish(nearly, report)
+        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies)
+        fit = fitter.finish(nearly, report)
     else:
-        fit = Fitter(unknowns, trained, chosen).run(report)
+        fit = Fitter(unknowns, trained, chosen, frequencies=frequencies).run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.spread)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
     judged = _model_error(identified, runs, after)
+    compared = (
+        None if frequencies is None else ComparedFrequencies.of(frequencies, robot, identified)
+    )
     against_mean = _against_mean(robot, runs, after)
     scored = _scored(runs, before, after, "test")
     unfollowed = tuple(runs[k].part.name for k in fit.left_out)  # the fitted ones are the first
@@ -240,6 +253,7 @@ def _identify(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
             *_turned_body(runs, after),
+            *(() if compared is None else compared.warnings()),
         ),
         estimate=estimate,
         observability=unknowns.prior.judge(fit.information),
@@ -266,6 +280,7 @@ def _identify(
         excess=fit.excess,
         model_error=None if judged is None else judged.error,
         nees=None if judged is None else judged.nees,
+        frequencies=compared,
         unfollowed=unfollowed,
         fitted_samples=sum(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.identification.frequencies import ComparedFrequencies
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
@@ -229,6 +230,7 @@ class Identification(CalibrationResult):
         model_error: What the identified robot misses, for the estimators; None: not known.
         nees: Squares of the errors over what `model_error` says of them, per degree of freedom; of
             the samples kept back, or of the fitted ones where there are none.
+        frequencies: Measured ones beside those of both robots; None: none were given.
     """
 
     train: ScoredRange
@@ -242,6 +244,7 @@ class Identification(CalibrationResult):
     fitted_samples: int
     model_error: ModelError | None
     nees: float | None
+    frequencies: ComparedFrequencies | None = None
 
     @cached_property
     def robot(self) -> Robot:
@@ -285,6 +288,7 @@ class Identification(CalibrationResult):
             "excess": self.excess,
             "model_error": None if self.model_error is None else asdict(self.model_error),
             "nees": self.nees,
+            "frequencies": None if self.frequencies is None else self.frequencies.data(),
         }
 
     def sentences(self) -> list[str]:
@@ -294,6 +298,7 @@ class Identification(CalibrationResult):
             lines.append(self._scores("kept back", self.test))
         else:
             lines.append("no samples were kept back: nothing says how well this carries over")
+        lines += [] if self.frequencies is None else self.frequencies.sentences()
         lines += self._first_motion() if len(self.runs) == 1 else self._each_run()
         if len(self.rests.after):
             lines.append(

@@ -72,6 +72,7 @@ def test_a_robot_of_no_use_is_not_written(run_file, capsys, monkeypatch):
         (("--output", "nowhere/x.yaml"), "a file in an existing folder"),
         (("--output", "x.txt"), "a file name ending in .yaml or .yml"),
         (("--robot", "cogiro"), "8 cables"),
+        (("--frequencies", "nowhere.csv"), "nowhere.csv: no such file"),
     ],
 )
 def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, message):
@@ -98,7 +99,15 @@ def test_several_recordings_are_fitted_together_and_others_scored(run_file, tmp_
     recording = ct.load_recording(run_file)
     for k, (start, stop) in enumerate(((0, 60), (40, 100), (20, 80))):
         ct.save_recording(recording.slice(start, stop), f"part{k}.parquet")
+    robot = ct.load_robot("carosac")
+    lengths = ct.statics.inverse_kinematics(robot, robot.home_position[None]).unstrained_length[0]
+    head = [f"unstrained_length_{k:02d}_m" for k in range(1, 5)]
+    Path("sway.csv").write_text(
+        ",".join([*head, "frequency_Hz", "sigma_Hz", "mode"])
+        + "\n" + ",".join([*map(str, lengths), "0.45", "0.01", "1"]) + "\n"
+    )  # fmt: skip
     words = ["identify", "part0.parquet", "part1.parquet", "--held-out", "part2.parquet"]
+    words += ["--frequencies", "sway.csv"]
     status = main([*words, "--robot", "carosac", "--json", "x.json", "--report", "report"])
     printed = capsys.readouterr().out
     data = json.loads(Path("x.json").read_text())
@@ -107,6 +116,10 @@ def test_several_recordings_are_fitted_together_and_others_scored(run_file, tmp_
     assert data["train"]["recordings"] == 2 and data["test"]["start"] == 0
     assert [each["train"] is None for each in data["recordings"]] == [False, False, True]
     assert "2 recordings (fitted)" in printed
+    assert "1 measured frequency: off by" in printed
+    assert data["frequencies"]["measured_Hz"] == [0.45]
+    page = Path("report/report.html").read_text()
+    assert "Natural frequencies" in page and "--frequencies sway.csv" in page
     assert Path("report/recordings.png").is_file()
 
 
