@@ -55,6 +55,7 @@ COMMAND_OPTIONS = (
     "train",
     "test",
     "frequencies",
+    "candidates",
     "report",
     "json",
     "seed",
@@ -84,6 +85,9 @@ class Options(CommonOptions):
     frequencies: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """CSV table of natural frequencies that were measured at rest, fitted beside the recordings:
     columns unstrained_length_01_m ..., frequency_Hz, sigma_Hz, and mode or shape_x_m ..."""
+    candidates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """Parameters that are kept only where cross-validation wants them, such as inertia_products,
+    and else stay as in the robot file; takes twice as long."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; never over the old one."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -111,7 +115,7 @@ def run(options: Options) -> CommandResult:
         train, test = _ranges(options, recordings[0])
         result = identify(
             recordings[0], robot_source.robot, train=train, test=test, frequencies=measured,
-            report=steps,
+            candidates=options.candidates, report=steps,
         )  # fmt: skip
         ranges = ["--train", f"{train[0]}:{train[1]}"]
         ranges += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
@@ -121,7 +125,7 @@ def run(options: Options) -> CommandResult:
         count = len(options.recordings)
         result = identify_runs(
             recordings[:count], robot_source.robot, held_out=recordings[count:], names=names,
-            frequencies=measured, report=steps,
+            frequencies=measured, candidates=options.candidates, report=steps,
         )  # fmt: skip
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
@@ -131,6 +135,7 @@ def run(options: Options) -> CommandResult:
     print()
     _print(result, effects)
     ranges += ["--frequencies", str(options.frequencies)] if options.frequencies else []
+    ranges += ["--candidates", *options.candidates] if options.candidates else []
     command = [
         "carosac", "identify", *options.recordings, "--robot", robot_source.name, *ranges,
         *option_words(options, COMMAND_OPTIONS),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from calibration.identification.cross_validation import Fold, Folds
 from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
 from calibration.identification.error_noise import (
     RUNS_APART_MIN,
@@ -53,6 +54,7 @@ STEPS_PER_SHARE = 4  # for each share but the last
 ROUGH_STEPS_MAX = 4  # with all poses of a sway, before derivatives over sigmas are taken
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
+HELD_OUT_STRETCHES = 8  # of few recordings, each of which is held out once
 CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
@@ -86,6 +88,7 @@ class CoordinateFit:
         iterations: Steps taken.
         converged: True if the last step promised little, or brought little.
         left_out: Runs that no time step follows; nothing but their start is fitted to them.
+        folds: Parts of the data about the estimate; coordinates of the robot are the first.
     """
 
     coordinates: Array
@@ -95,6 +98,7 @@ class CoordinateFit:
     excess: float
     iterations: int
     converged: bool
+    folds: Folds
     left_out: tuple[int, ...] = ()
 
 
@@ -209,6 +213,7 @@ class Fitter:
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         spread = self._spread(state, noise, root, inverse)
+        folds = self._folds(state, noise)
         information /= self._axes * excess
         if left_out:
             apart = self._beside(at, [whole[k] for k in left_out])
@@ -222,6 +227,7 @@ class Fitter:
             excess=excess,
             iterations=state.count,
             converged=state.settled,
+            folds=folds,
             left_out=tuple(left_out),
         )
 
@@ -375,6 +381,50 @@ class Fitter:
             return max(least, spread * count / (count - 1) / float(np.trace(known @ left)))
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
         return max(1.0, spread / fitted)
+
+    def _folds(self, state: _Search, noise: PoseErrorNoise) -> Folds:
+        """Return the recordings, or stretches of few of them, about where the search ended.
+
+        Each of many recordings has a start of its own, which follows.
+        """
+        count, parts = self._count, list[Fold]()
+        size = count if self._many else len(state.at)
+        total = sum(len(state.errors[k]) for k in self._kept)
+        for k in self._kept:
+            own, errors, slopes = self._own[k], state.errors[k], state.jacobians[k]
+            if self._many:
+                fold = self._fold(k, noise, errors, slopes)
+                pull = fold.gradient[count:] + state.at[own[count:]]
+                known = fold.information[count:, count:] + np.eye(len(pull))
+                cross = fold.information[:count, count:]
+                follow = np.linalg.solve(known, np.column_stack([pull, cross.T]))
+                parts.append(
+                    Fold(
+                        cost=fold.cost,
+                        gradient=fold.gradient[:count] - cross @ follow[:, 0],
+                        information=fold.information[:count, :count] - cross @ follow[:, 1:],
+                    )
+                )
+                continue
+            stretches = max(1, round(HELD_OUT_STRETCHES * len(errors) / total))
+            for rows in np.array_split(np.arange(len(errors)), stretches):
+                fold = self._fold(k, noise, errors[rows], slopes[rows])
+                gradient, information = np.zeros(size), np.zeros((size, size))
+                gradient[own], information[np.ix_(own, own)] = fold.gradient, fold.information
+                parts.append(Fold(cost=fold.cost, gradient=gradient, information=information))
+        at, lower = state.at[:size], self._lower[:size]
+        return Folds(
+            parts=parts, precision=self._precision[:size, :size], at=at.copy(), fixed=at <= lower
+        )
+
+    def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Fold:
+        """Return the cost of some errors (K, 6) of a run, by what it depends on."""
+        flat, weights = slopes.reshape(errors.size, -1), noise.weights(errors).ravel()
+        return Fold(
+            cost=self._cost_of(k, errors, noise),
+            gradient=self._product(k, weights, flat, errors.reshape(-1, 1))[:, 0],
+            information=self._product(k, weights, flat, flat),
+        )
 
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6), of vanishing time steps where only the sway counts.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -42,7 +42,7 @@ from calibration.identification.runs import (
 )
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
-from calibration.identification.unknowns import Coordinates, choose_coordinates
+from calibration.identification.unknowns import Coordinates, choose_coordinates, group_of
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -82,6 +82,7 @@ def identify(
     train: Range,
     test: Range | None = None,
     frequencies: FrequencyTable | None = None,
+    candidates: Sequence[str] = (),
     report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
@@ -98,16 +99,19 @@ def identify(
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.
         frequencies: Measured natural frequencies that are fitted too; None: none.
+        candidates: Settings whose parameters are kept only where they predict what is held out (see
+            `calibration.identification.cross_validation`), and else stay as in the robot file.
         report: Called before each step with the number of poses that it looks at, from the first,
             and their RMS errors [m] and [rad].
 
     Raises:
-        InvalidField: A range outside the recording, ranges that overlap, or too little in them.
+        InvalidField: A range outside the recording, ranges that overlap, too little in them, or a
+            candidate that is none.
         Unobservable: The recording does not show the dynamics.
         CarosacError: The robot cannot be simulated on these lengths.
     """
     part = _Part(name="recording", recording=recording, train=train, test=test)
-    return _identify([part], robot, settings, report, frequencies)
+    return _chosen([part], robot, settings, report, frequencies, candidates)
 
 
 def identify_runs(
@@ -118,6 +122,7 @@ def identify_runs(
     held_out: Sequence[Recording] = (),
     names: Sequence[str] | None = None,
     frequencies: FrequencyTable | None = None,
+    candidates: Sequence[str] = (),
     report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit one robot to the poses of several recordings; see `identify`.
@@ -133,11 +138,13 @@ def identify_runs(
         held_out: Scored only; nothing but their first motion is fitted to them.
         names: Of `recordings`, then of `held_out`; None numbers them.
         frequencies: Measured natural frequencies that are fitted too; None: none.
+        candidates: Settings whose parameters are kept only where they predict what is held out (see
+            `calibration.identification.cross_validation`), and else stay as in the robot file.
         report: Called before each step with the number of poses that it looks at, and their RMS
             errors [m] and [rad].
 
     Raises:
-        InvalidField: No recordings, or one of them does not fit the robot.
+        InvalidField: No recordings, one that does not fit the robot, or a candidate that is none.
         Unobservable: The recordings do not show the dynamics.
         CarosacError: The robot cannot be simulated on these lengths.
     """
@@ -158,7 +165,29 @@ def identify_runs(
         for k, (name, recording) in enumerate(zip(called, every, strict=True))
         for whole in [(0, len(recording.time))]
     ]
-    return _identify(parts, robot, settings, report, frequencies)
+    return _chosen(parts, robot, settings, report, frequencies, candidates)
+
+
+def _chosen(
+    parts: Sequence[_Part],
+    robot: Robot,
+    settings: IdentificationSettings | None,
+    report: ProgressCallback,
+    frequencies: FrequencyTable | None,
+    candidates: Sequence[str],
+) -> Identification:
+    """Identify a robot; parameters that were to be tried are held unless they predict."""
+    whole = (settings or IdentificationSettings()).with_candidates(candidates)
+    found = _identify(parts, robot, whole, report, frequencies)
+    if not candidates:
+        return found
+    group = np.full(len(found.folds.at), "", dtype=object)  # starts have none
+    group[: len(found.estimate.names)] = [group_of(name) for name in found.estimate.names]
+    judged = found.folds.choose({name: group == name for name in candidates})
+    held = [one.name for one in judged if not one.kept]
+    if held:
+        found = _identify(parts, robot, whole.without(held), report, frequencies)
+    return replace(found, candidates=judged)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -281,6 +310,7 @@ def _identify(
         model_error=None if judged is None else judged.error,
         nees=None if judged is None else judged.nees,
         frequencies=compared,
+        folds=fit.folds,
         unfollowed=unfollowed,
         fitted_samples=sum(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calibration.identification.cross_validation import Candidate, Folds
 from calibration.identification.frequencies import ComparedFrequencies
 from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.sway import FreeSway
@@ -230,7 +231,9 @@ class Identification(CalibrationResult):
         model_error: What the identified robot misses, for the estimators; None: not known.
         nees: Squares of the errors over what `model_error` says of them, per degree of freedom; of
             the samples kept back, or of the fitted ones where there are none.
+        folds: Parts of the data about the estimate, of which each may be held out.
         frequencies: Measured ones beside those of both robots; None: none were given.
+        candidates: Parameters that were to be kept only where they predict.
     """
 
     train: ScoredRange
@@ -244,7 +247,9 @@ class Identification(CalibrationResult):
     fitted_samples: int
     model_error: ModelError | None
     nees: float | None
+    folds: Folds
     frequencies: ComparedFrequencies | None = None
+    candidates: tuple[Candidate, ...] = ()
 
     @cached_property
     def robot(self) -> Robot:
@@ -288,6 +293,7 @@ class Identification(CalibrationResult):
             "excess": self.excess,
             "model_error": None if self.model_error is None else asdict(self.model_error),
             "nees": self.nees,
+            "candidates": {one.name: one.data() for one in self.candidates},
             "frequencies": None if self.frequencies is None else self.frequencies.data(),
         }
 
@@ -299,6 +305,7 @@ class Identification(CalibrationResult):
         else:
             lines.append("no samples were kept back: nothing says how well this carries over")
         lines += [] if self.frequencies is None else self.frequencies.sentences()
+        lines += self._candidates()
         lines += self._first_motion() if len(self.runs) == 1 else self._each_run()
         if len(self.rests.after):
             lines.append(
@@ -355,6 +362,13 @@ class Identification(CalibrationResult):
         if modes:
             line += f"; its sway there was estimated too ({'; '.join(modes)})"
         return [line]
+
+    def _candidates(self) -> list[str]:
+        """Say which parameters predict what is held out."""
+        if not self.candidates:
+            return []
+        words = "; ".join(one.words for one in self.candidates)
+        return [f"squared errors of what cross-validation holds out, with candidates: {words}"]
 
     def _claims(self) -> list[str]:
         """Say what estimators will claim of this robot."""

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
+
+PRODUCTS_SIGMA = 0.15  # of the products of inertia, as candidates
+_NO_SIGMAS = ("rate", "iterations", "time_step")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +30,7 @@ class IdentificationSettings:
         center_of_mass: Per axis [m].
         mass: Share.
         inertia: Share of each principal spread of the mass.
+        inertia_products: Off the diagonal, over the root of the spreads along both axes.
         linear_density: Share, one for all cables.
         axial_stiffness: Share, one for all cables.
         axial_damping: Share, one for all cables.
@@ -50,6 +56,7 @@ class IdentificationSettings:
     center_of_mass: float = Scaled(0.02, "m")
     mass: float = 0.05
     inertia: float = 0.3
+    inertia_products: float = 0.0
     linear_density: float = 0.05
     axial_stiffness: float = 0.7
     axial_damping: float = 1.0
@@ -68,6 +75,26 @@ class IdentificationSettings:
         """Refuse what is no standard deviation."""
         for field in fields(self):
             value = getattr(self, field.name)
-            lowest = "> 0" if field.name in ("rate", "iterations", "time_step") else ">= 0"
+            lowest = "> 0" if field.name in _NO_SIGMAS else ">= 0"
             if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and lowest == ">= 0"))):
                 raise InvalidField(field.name, value, f"{field.name} {lowest}, finite")
+
+    def with_candidates(self, names: Sequence[str]) -> IdentificationSettings:
+        """Free what is held of some parameters, by a usual sigma.
+
+        Raises:
+            InvalidField: A name that is of no parameters.
+        """
+        usual: dict[str, Any] = {
+            field.name: field.default for field in fields(self) if field.name not in _NO_SIGMAS
+        }
+        usual["inertia_products"] = PRODUCTS_SIGMA
+        for name in names:
+            if name not in usual:
+                raise InvalidField("candidates", repr(name), f"any of {', '.join(usual)}")
+        return replace(self, **{name: getattr(self, name) or usual[name] for name in names})
+
+    def without(self, names: Sequence[str]) -> IdentificationSettings:
+        """Hold some parameters."""
+        held: dict[str, Any] = dict.fromkeys(names, 0.0)
+        return replace(self, **held)

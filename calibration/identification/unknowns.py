@@ -1,11 +1,12 @@
 """Coordinates in which a robot is identified: each starts at 0 and has a prior sigma of about 1.
 
 What must stay positive is a factor exp(sigma u). The inertia is varied through the second moments
-of the mass, S = 1/2 tr(I) 1 - I, as S -> D S D with D diagonal and positive: whatever the
-coordinates are, a real body can have it. Stiffness and run length are varied at a constant
-stiffness of the whole cable at home: EA = k (L + run), where data often know k alone. Dry friction
-is varied at a constant ratio to the mass: all forces and masses by one factor give the same motion,
-and that factor is a straight line in coordinates, though data hardly know it.
+of the mass, S = 1/2 tr(I) 1 - I, as S -> D L S L^T D with D diagonal and positive, and L triangular
+with a diagonal of ones: whatever the coordinates are, a real body can have it. Stiffness and run
+length are varied at a constant stiffness of the whole cable at home: EA = k (L + run), where data
+often know k alone. Dry friction is varied at a constant ratio to the mass: all forces and masses by
+one factor give the same motion, and that factor is a straight line in coordinates, though data
+hardly know it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
 STEP_SHARE_MIN = 0.25  # least share of itself that a step leaves of a factor, or of 1 / EA
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
+_PRODUCT_PLACES = {"inertia.xy": (1, 0), "inertia.xz": (2, 0), "inertia.yz": (2, 1)}
 _FACTOR_FIELDS = (
     "mass",
     "linear_density",
@@ -91,18 +93,23 @@ class Coordinates:
                 values[i] *= self._lengthening(name, values)
             elif field_of(name) in _FRICTION_FIELDS and "mass" in self.prior.names:
                 values[i] *= values[self.prior.names.index("mass")] / robot.mass
-        plain = [i for i, name in enumerate(self.prior.names) if name not in _INERTIA_NAMES]
+        of_body = (*_INERTIA_NAMES, *_PRODUCT_PLACES)
+        plain = [i for i, name in enumerate(self.prior.names) if name not in of_body]
         changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
         if not self.anchored:
             exits = changed.exit_points @ turn_between(robot, changed).T
             changed = replace(changed, exit_points=exits)
         if len(plain) == len(self.prior.names):
             return changed
-        stretch = np.ones(3)
-        for i, name in enumerate(_INERTIA_NAMES):
-            stretch[i] = np.exp(0.5 * shares[self.prior.names.index(name)])
+        shear, stretch, along = np.eye(3), np.ones(3), _spreads(robot)
+        for name, share in zip(self.prior.names, shares, strict=True):
+            if name in _INERTIA_NAMES:
+                stretch[_INERTIA_NAMES.index(name)] = np.exp(0.5 * share)
+            elif name in _PRODUCT_PLACES:
+                row, column = _PRODUCT_PLACES[name]
+                shear[row, column] = -share / along[column] ** 2
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
-        spread = spread * np.outer(stretch, stretch)
+        spread = (shear @ spread @ shear.T) * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
 
     def moved(self, at: Array, step: Array) -> Array:
@@ -252,6 +259,17 @@ def _coupled(robot: Robot, names: tuple[str, ...], natural: Array) -> Array:
     return derivative
 
 
+def group_of(name: str) -> str:
+    """Return the setting that says how well a parameter is known before."""
+    return "inertia_products" if name in _PRODUCT_PLACES else field_of(name)
+
+
+def _spreads(robot: Robot) -> Array:
+    """Return roots of the second moments of the mass along the axes [kg^(1/2) m], shape (3,)."""
+    moments = 0.5 * np.trace(robot.inertia) - np.diag(robot.inertia)
+    return np.asarray(np.sqrt(np.maximum(moments, 0.0)))  # none across a thin plate
+
+
 def _reach(robot: Robot) -> float:
     """Return the mean distance from exit points to home [m]."""
     return float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
@@ -259,7 +277,8 @@ def _reach(robot: Robot) -> float:
 
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
     """Return parameters that are not held, and one sigma of each."""
-    cables = robot.cable_names
+    cables, along = robot.cable_names, _spreads(robot)
+    products = {name: float(np.prod(along[[*place]])) for name, place in _PRODUCT_PLACES.items()}
     groups: dict[str, list[str]] = {
         "exit_points": point_names("exit_points", cables),
         "length_offset": [f"length_offset[{c}]" for c in cables],
@@ -267,6 +286,7 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "anchor_points": point_names("anchor_points", cables),
         "center_of_mass": [f"center_of_mass.{a}" for a in "xyz"],
         "inertia": list(_INERTIA_NAMES),
+        "inertia_products": [name for name, size in products.items() if size > 0.0],
         "mass": ["mass"],
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
@@ -285,5 +305,5 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         sigma = getattr(settings, field) * units.get(field, 1.0)
         if sigma > 0.0:
             names += members
-            scale += [sigma] * len(members)
+            scale += [sigma * products.get(name, 1.0) for name in members]
     return tuple(names), np.array(scale)

@@ -67,6 +67,17 @@ def test_the_robot_is_found_and_its_frequencies_within_half_a_percent(found, pla
     assert scores.nees < 4.0  # sigmas here are a thousandth of the values
 
 
+def test_each_recording_can_be_held_out_of_the_fit(found):
+    """The estimate is where the parabolas of all of them are least, and it costs to leave one."""
+    folds = found.folds
+    assert len(folds.parts) == 10
+    information = folds.precision + sum(part.information for part in folds.parts)
+    pull = folds.precision @ folds.at + sum(part.gradient for part in folds.parts)
+    assert pull @ np.linalg.solve(information, pull) < 0.1 * len(pull)
+    held_out = folds.held_out(np.zeros(len(pull), dtype=bool))
+    assert (held_out > [part.cost for part in folds.parts]).mean() > 0.8
+
+
 def test_recordings_that_were_held_out_are_predicted_to_the_noise_of_their_poses(found):
     kept = [run for run in found.runs if run.train is None]
     assert [run.name for run in kept] == ["recording 11", "recording 12"]

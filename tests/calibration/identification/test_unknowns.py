@@ -11,10 +11,9 @@ from scipy.stats import norm
 import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.spread import Spread
-from calibration.identification.unknowns import choose_coordinates
+from calibration.identification.unknowns import choose_coordinates, group_of
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.scales import Scales
-from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.parameters import values_of
 
 
@@ -47,6 +46,30 @@ def test_a_skew_inertia_stays_possible():
     for axis, share in zip("xyz", (3.0, -3.0, 2.0), strict=True):
         point[unknowns.prior.names.index(f"inertia.{axis * 2}")] = share
     assert np.linalg.eigvalsh(unknowns.robot_at(point).inertia)[0] > 0.0
+
+
+def test_products_of_inertia_are_free_where_they_are_asked_for():
+    robot = ct.load_robot("carosac")
+    unknowns = choose_coordinates(robot, IdentificationSettings(inertia_products=0.15))
+    names = unknowns.prior.names
+    row = names.index("inertia.xz")
+    small, far = np.zeros(len(names)), np.zeros(len(names))
+    small[row] = 1e-4
+    turned = unknowns.robot_at(small).inertia - robot.inertia
+    moments = 0.5 * np.trace(robot.inertia) - np.diag(robot.inertia)  # of the mass along the axes
+    assert turned[0, 2] == pytest.approx(1e-4 * 0.15 * np.sqrt(moments[0] * moments[2]))
+    assert np.abs(turned - turned[0, 2] * np.eye(3)[[2, 1, 0]] * [1, 0, 1]).max() < 1e-7
+    far[[names.index(f"inertia.{pair}") for pair in ("xy", "xz", "yz")]] = (6.0, -5.0, 7.0)
+    least, middle, largest = np.linalg.eigvalsh(unknowns.robot_at(far).inertia)
+    assert 0.0 < least and largest < least + middle
+
+
+def test_a_thin_plate_has_no_products_across_it():
+    robot = ct.load_robot("carosac")
+    plate = replace(robot, inertia=np.diag([0.4, 0.4, 0.8]))
+    unknowns = choose_coordinates(plate, IdentificationSettings(inertia_products=0.15))
+    products = [name for name in unknowns.prior.names if name[-2:] in ("xy", "xz", "yz")]
+    assert products == ["inertia.xy"]
 
 
 def test_a_delay_stays_at_or_above_zero(unknowns):
@@ -125,10 +148,11 @@ SIGMAS = [
 @pytest.mark.parametrize("field", SIGMAS)
 def test_a_sigma_of_zero_holds_a_parameter(field):
     robot = ct.load_robot("carosac")
-    every = choose_coordinates(robot, IdentificationSettings()).prior.names
-    held = choose_coordinates(robot, IdentificationSettings(**{field: 0.0})).prior.names
+    all_free = IdentificationSettings().with_candidates(SIGMAS)
+    every = choose_coordinates(robot, all_free).prior.names
+    held = choose_coordinates(robot, all_free.without([field])).prior.names
     gone = set(every) - set(held)
-    assert gone and {field_of(name) for name in gone} == {field}
+    assert gone and {group_of(name) for name in gone} == {field}
 
 
 def test_a_factor_cannot_begin_at_zero():

@@ -1,0 +1,135 @@
+"""Parameters that are kept only where they predict what was not fitted.
+
+A fit with more parameters is always nearer to what was fitted. What tells whether they are of the
+robot is data that were held out: recordings, or stretches of one of them. Near the estimate the
+cost of each is a parabola, so that the fit without it, and without some of the parameters, follows
+from one fit with all of them; held-out recordings are judged with a start of their own, as always.
+
+Parameters are kept one after another, the best first, as long as squared errors of
+what is held out fall by more than their standard error (the rule of one standard error).
+
+References:
+    Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd ed., 2009, 7.10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.base.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fold:
+    """Cost of a part of the data, c + 2 g^T d + d^T A d, where p coordinates change by d.
+
+    Attributes:
+        cost: c.
+        gradient: g, shape (p,).
+        information: A, shape (p, p).
+    """
+
+    cost: float
+    gradient: Array
+    information: Array
+
+    def at(self, change: Array) -> float:
+        """Return the cost after a change (p,)."""
+        return float(self.cost + (2.0 * self.gradient + self.information @ change) @ change)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """What parameters bring that are kept only where they predict.
+
+    Attributes:
+        name: Of the setting that frees them.
+        kept: True if they are.
+        gain: Share by which squared errors of what is held out fall with them.
+        error: Standard error of it.
+    """
+
+    name: str
+    kept: bool
+    gain: float
+    error: float
+
+    @property
+    def words(self) -> str:
+        """What it says, for people."""
+        verdict = "kept" if self.kept else "left as in the robot file"
+        way = "smaller" if self.gain >= 0.0 else "larger"
+        share, error = 100.0 * abs(self.gain), 100.0 * self.error
+        return f"{self.name} {verdict}: {share:.2g} % {way}, give or take {error:.2g} %"
+
+    def data(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON."""
+        return {"kept": self.kept, "gain": self.gain, "gain_sigma": self.error}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Folds:
+    """Parts of the data about an estimate of p coordinates, all of them free.
+
+    Attributes:
+        parts: At least two.
+        precision: Of what is known beside the data, about coordinates of 0, shape (p, p).
+        at: The estimate, shape (p,).
+        fixed: Coordinates at their bounds, which stay there, shape (p,).
+    """
+
+    parts: Sequence[Fold]
+    precision: Array
+    at: Array
+    fixed: NDArray[np.bool_]
+
+    def held_out(self, held: NDArray[np.bool_]) -> Array:
+        """Return the cost of each part after a fit to all others.
+
+        Args:
+            held: Coordinates that are held at 0, shape (p,).
+        """
+        information = self.precision + sum(part.information for part in self.parts)
+        gradient = self.precision @ self.at + sum(part.gradient for part in self.parts)
+        free = ~(held | self.fixed)
+        change = np.where(held, -self.at, 0.0)
+        costs = []
+        for part in self.parts:
+            others = (information - part.information)[free]
+            pull = (gradient - part.gradient)[free] + others @ np.where(free, 0.0, change)
+            change[free] = -np.linalg.solve(others[:, free], pull)
+            costs.append(part.at(change))
+        return np.array(costs)
+
+    def choose(self, groups: Mapping[str, NDArray[np.bool_]]) -> tuple[Candidate, ...]:
+        """Choose among parameters.
+
+        Args:
+            groups: Coordinates of each by its name, shape (p,).
+        """
+        left = dict(groups)
+        nothing = np.zeros(len(self.at), dtype=np.bool_)
+        judged: list[Candidate] = []
+
+        def costs(names: Mapping[str, NDArray[np.bool_]]) -> Array:
+            return self.held_out(np.logical_or.reduce([nothing, *names.values()]))
+
+        while left:
+            without = costs(left)
+            trials = []
+            for name in left:
+                gains = without - costs({k: v for k, v in left.items() if k != name})
+                error = float(np.sqrt(len(gains)) * gains.std(ddof=1))
+                trials.append((float(gains.sum()), error, name))
+            kept = [trial for trial in trials if trial[0] > trial[1]]
+            total = float(without.sum())
+            for gain, error, name in [max(kept)] if kept else sorted(trials, reverse=True):
+                share = {"gain": gain / total, "error": error / total}
+                judged.append(Candidate(name=name, kept=bool(kept), **share))
+                del left[name]
+        return tuple(judged)

@@ -1,0 +1,136 @@
+"""Held-out costs from one fit are those of all fits; parameters are kept only if they predict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from calibration.identification.cross_validation import Fold, Folds
+from calibration.identification.procedure import identify
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.synthetic import RunSettings, simulate_run
+from carosac_toolkit.base.errors import InvalidField
+
+FEW = IdentificationSettings(
+    exit_points=0.0, anchor_points=0.0, length_scale=0.0, mass=0.0, linear_density=0.0,
+    axial_stiffness=0.0, axial_damping=0.0, run_length=0.0, drag=0.0, exit_friction=0.0,
+    anchor_friction=0.0, length_hysteresis=0.0, pose_tilt=0.0,
+)  # fmt: skip
+
+
+class Regression:
+    """A linear model of 12 parts of data, with parameters that are of it and others that are not.
+
+    The first two are always fitted, the next two may be held, as may the last two, which are 0.
+    """
+
+    def __init__(self, seed):
+        rng = np.random.default_rng(seed)
+        self.truth = np.array([1.0, -0.5, 0.8, 0.4, 0.0, 0.0])
+        self.slopes = rng.standard_normal((12, 8, 6))
+        self.data = self.slopes @ self.truth + rng.standard_normal((12, 8))
+        self.precision = np.eye(6)
+
+    def fit(self, rows, free):
+        slopes = self.slopes[rows].reshape(-1, 6)[:, free]
+        known = self.precision[np.ix_(free, free)] + slopes.T @ slopes
+        found = np.zeros(6)
+        found[free] = np.linalg.solve(known, slopes.T @ self.data[rows].ravel())
+        return found
+
+    def folds(self):
+        at = self.fit(np.arange(12), np.arange(6))
+        off = self.slopes @ at - self.data
+        return Folds(
+            parts=[
+                Fold(cost=float(e @ e), gradient=s.T @ e, information=s.T @ s)
+                for s, e in zip(self.slopes, off, strict=True)
+            ],
+            precision=self.precision,
+            at=at,
+            fixed=np.zeros(6, dtype=bool),
+        )
+
+
+def mask(*rows):
+    return np.isin(np.arange(6), rows)
+
+
+@pytest.mark.parametrize("held", [(), (2, 3), (4, 5), (2, 3, 4, 5)])
+def test_costs_of_parts_held_out_are_those_of_fits_without_them(held):
+    model = Regression(0)
+    free = np.flatnonzero(~mask(*held))
+    expected = []
+    for part in range(12):
+        found = model.fit(np.delete(np.arange(12), part), free)
+        expected.append(((model.slopes[part] @ found - model.data[part]) ** 2).sum())
+    assert model.folds().held_out(mask(*held)) == pytest.approx(np.array(expected))
+
+
+def test_what_is_of_the_model_is_kept_and_what_is_not_is_left():
+    verdicts = [
+        {one.name: one.kept for one in Regression(seed).folds().choose(GROUPS)}
+        for seed in range(40)
+    ]
+    assert all(verdict["true"] for verdict in verdicts)
+    assert np.mean([verdict["none"] for verdict in verdicts]) < 0.1
+
+
+GROUPS = {"true": mask(2, 3), "none": mask(4, 5)}
+
+
+def test_words_say_what_was_found():
+    tried = {one.name: one for one in Regression(0).folds().choose(GROUPS)}
+    assert tried["true"].words.startswith("true kept: ")
+    assert "left as in the robot file" in tried["none"].words
+    assert tried["true"].gain > tried["true"].error > 0.0
+
+
+def test_a_coordinate_at_its_bound_stays_there():
+    folds = Regression(0).folds()
+    bound = Folds(parts=folds.parts, precision=folds.precision, at=folds.at, fixed=mask(5))
+    free = folds.held_out(mask())
+    assert not np.allclose(bound.held_out(mask()), free)
+    assert bound.held_out(mask(5)) == pytest.approx(folds.held_out(mask(5)))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return ct.load_robot("carosac")
+
+
+def tried(robot, plant):
+    """Identify a plant from one run, with products of inertia as candidates."""
+    run = simulate_run(plant, 4, RunSettings(condition="none", moves=4, rate=20.0)).recording
+    span = (0, len(run.time))
+    return identify(run, robot, FEW, train=span, candidates=["inertia_products"])
+
+
+def test_products_of_inertia_are_kept_where_the_body_has_them(robot):
+    moments = 0.5 * np.trace(robot.inertia) - np.diag(robot.inertia)
+    shares = np.array([[0.0, 0.3, -0.25], [0.3, 0.0, 0.2], [-0.25, 0.2, 0.0]])
+    skew = robot.inertia + shares * np.sqrt(np.outer(moments, moments))
+    found = tried(robot, replace(robot, inertia=skew))
+    assert found.candidates[0].kept and "inertia.xy" in found.estimate.names
+    assert any("inertia_products kept: " in line for line in found.sentences())
+    off = found.robot.inertia - skew
+    assert np.linalg.norm(off) < np.linalg.norm(robot.inertia - skew)
+
+
+def test_they_stay_as_in_the_robot_file_where_it_has_none(robot):
+    found = tried(robot, robot)
+    assert not found.candidates[0].kept and "inertia.xy" not in found.estimate.names
+    assert found.data()["candidates"]["inertia_products"]["kept"] is False
+    assert found.robot.inertia[0, 1] == 0.0
+
+
+def test_a_candidate_that_is_no_parameter_is_refused():
+    with pytest.raises(
+        InvalidField, match=r"candidates: got 'colour'; allowed: any of exit_points"
+    ):
+        IdentificationSettings().with_candidates(["colour"])
+    with pytest.raises(InvalidField, match="'rate'"):
+        IdentificationSettings().with_candidates(["rate"])
