@@ -18,8 +18,9 @@ from calibration.identification.error_noise import (
     estimate_noise,
 )
 from calibration.identification.frequencies import FrequencyTable, KnownFrequencies
-from calibration.identification.open_loop import OpenLoopRun, OpenLoopStart, simulate_runs
+from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
+from calibration.identification.search_state import DAMPING_START, Near, Search, Step, Wide
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.spread import (
     STALE_SIGMAS,
@@ -30,8 +31,7 @@ from calibration.identification.spread import (
 )
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.base.errors import CarosacError
 
 FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
 # The same of many recordings, which tell more: over longer ones motion is less linear, and over
@@ -69,7 +69,6 @@ FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may lea
 LOST_COST_RATIO = 5.0  # of a typical run's: one that costs more starts anew
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
-DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
 ProgressCallback = Callable[[int, float, float], None]
 
@@ -141,6 +140,7 @@ class Fitter:
         ]  # rows of the coordinates that each run depends on
         loose = sum(sizes)
         self._names = [*unknowns.prior.names, *(name for run in runs for name in run.sway.names)]
+        self._simulator = RunSimulator(unknowns, self._own, self._names)
         self._mass = self._names.index("mass") if "mass" in self._names else -1
         self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
@@ -152,8 +152,8 @@ class Fitter:
             + [run.sway.guess for run in runs]
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
-        self._near: _Near | None = None  # over short steps of a sway
-        self._wide: _Wide | None = None  # derivatives over some sigmas
+        self._near: Near | None = None  # over short steps of a sway
+        self._wide: Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
         self._rest: list[Array] = []  # what they make errors wrong by
         self._rest_at = self._first  # where that was found
@@ -249,7 +249,7 @@ class Fitter:
         cross = information[own, start]
         return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
 
-    def _spread(self, state: _Search, noise: PoseErrorNoise, root: Array, inverse: Array) -> Spread:
+    def _spread(self, state: Search, noise: PoseErrorNoise, root: Array, inverse: Array) -> Spread:
         """Return how far off the robot may be.
 
         Args:
@@ -271,7 +271,7 @@ class Fitter:
         return replace(straight, draws=draws[exists, own], bends=bends[exists, own])
 
     def _pull(
-        self, state: _Search, noise: PoseErrorNoise, rough: list[Array], steps: Array, told: Array
+        self, state: Search, noise: PoseErrorNoise, rough: list[Array], steps: Array, told: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Return the gradient (d, all coordinates) of what steps lead to, beyond what is told.
 
@@ -286,7 +286,7 @@ class Fitter:
             The gradient, and which of the steps lead to a robot that moves (d,).
         """
         points = np.maximum(np.concatenate([state.at[None], state.at + steps]), self._lower)
-        errors, good = self._simulated([points] * len(self._runs), self._time_step)
+        errors, good = self._simulated([points] * len(self._runs))
         pull = np.zeros_like(steps)
         for k in self._kept:
             rows = self._own[k]
@@ -297,7 +297,7 @@ class Fitter:
             pull[:, rows] += self._product(k, weights, flat, beyond.T).T
         return pull, np.all([good[k][1:] for k in self._kept], axis=0)
 
-    def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> _Search:
+    def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> Search:
         """Search from somewhere, for some steps or to the end."""
         damping, settled, hessian = DAMPING_START, False, None
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
@@ -337,10 +337,10 @@ class Fitter:
                     hessian = information + self._precision
                 coarse &= not (ended or rough)
         settled &= final
-        return _Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
+        return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _excess(
-        self, state: _Search, noise: PoseErrorNoise, information: Array, inverse: Array
+        self, state: Search, noise: PoseErrorNoise, information: Array, inverse: Array
     ) -> float:
         """Return by how much scores vary more than independent ones.
 
@@ -382,7 +382,7 @@ class Fitter:
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
         return max(1.0, spread / fitted)
 
-    def _folds(self, state: _Search, noise: PoseErrorNoise) -> Folds:
+    def _folds(self, state: Search, noise: PoseErrorNoise) -> Folds:
         """Return the recordings, or stretches of few of them, about where the search ended.
 
         Each of many recordings has a start of its own, which follows.
@@ -433,10 +433,10 @@ class Fitter:
         What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
         """
         points = [at[None]] * len(self._runs)
-        errors, good = self._simulated(points, self._time_step)
+        errors, good = self._simulated(points)
         self._rest, self._rest_at = [np.zeros(6)] * len(errors), at
         if self._sways:
-            fine, sound = self._simulated(points, self._time_step, refined=2)
+            fine, sound = self._simulated(points, refined=2)
             good = [one & other for one, other in zip(good, sound, strict=True)]
             self._rest = [
                 4.0 / 3.0 * (best[0] - each[0]) for best, each in zip(fine, errors, strict=True)
@@ -454,9 +454,7 @@ class Fitter:
         """
         sigma = self._noise(errors).sigma
         points = [at[None]] * len(self._runs)
-        once, twice, more = (
-            self._simulated(points, self._time_step, refined=refined)[0] for refined in (1, 2, 4)
-        )
+        once, twice, more = (self._simulated(points, refined=refined)[0] for refined in (1, 2, 4))
         differs = np.array([
             np.linalg.norm((5.0 * b - a - 4.0 * c) / (3.0 * sigma))
             for a, b, c in zip(once, twice, more, strict=True)
@@ -473,7 +471,7 @@ class Fitter:
         Args:
             points: Of all runs, shape (B, all coordinates).
         """
-        errors, good = self._simulated([points] * len(self._runs), self._time_step)
+        errors, good = self._simulated([points] * len(self._runs))
         trials = [each + more for each, more in zip(errors, self._rest, strict=True)]
         changes = self._rest_slopes()
         if changes is not None:
@@ -489,56 +487,6 @@ class Fitter:
         return [
             exact - rough for exact, rough in zip(self._wide.exact, self._wide.rough, strict=True)
         ]
-
-    def _simulated(
-        self, points: Sequence[Array], time_step: float, *, refined: int = 1
-    ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
-        """Simulate robots at coordinates, for each run of its own.
-
-        Args:
-            points: Of each run, shape (B, all coordinates).
-            time_step: At most [s].
-            refined: Steps that each of these is divided into.
-
-        Returns:
-            Of each run: errors (B, K, 6), and which robots exist and have a finite motion (B,).
-        """
-        known: dict[bytes, Robot | None] = {}
-        jobs, exists = [], []
-        for run, own, each in zip(self._runs, self._own, points, strict=True):
-            robots = [self._robot(point[: self._count], known) for point in each]
-            exists.append(np.array([robot is not None for robot in robots]))
-            start = OpenLoopStart(sway=run.sway, coordinates=each[:, own[self._count :]])
-            jobs.append(
-                OpenLoopRun(
-                    robots=[robot or self._unknowns.robot for robot in robots],
-                    path=run.path,
-                    time=run.poses.time,
-                    start=start,
-                )
-            )
-        errors = []
-        for k, motion in enumerate(simulate_runs(jobs, time_step=time_step, refined=refined)):
-            seen = motion.seen_by(self._unknowns.robot, jobs[k].robots)
-            exists[k] &= ~motion.failed
-            run = self._runs[k]
-            errors.append(
-                np.array([
-                    run.seen(run.poses.errors(seen.position[:, b], seen.rotation[:, b]))
-                    for b in range(len(points[k]))
-                ])
-            )  # fmt: skip
-        return errors, exists
-
-    def _robot(self, coordinates: Array, known: dict[bytes, Robot | None]) -> Robot | None:
-        """Return the robot of some coordinates (k,), made once; None where there is none."""
-        key = coordinates.tobytes()
-        if key not in known:
-            try:
-                known[key] = self._unknowns.robot_at(coordinates)
-            except InvalidField:
-                known[key] = None
-        return known[key]
 
     def _jacobians(
         self, at: Array, *, coarse: bool, starts: bool = False, hessian: Array | None = None
@@ -581,7 +529,7 @@ class Fitter:
         if alike:
             self._fill_alike(jacobians)
         if robot and self._sways:
-            self._near = _Near(at=at.copy(), runs=self._runs, jacobians=jacobians)
+            self._near = Near(at=at.copy(), runs=self._runs, jacobians=jacobians)
         return jacobians
 
     def _told_by_alike(self, searched: NDArray[np.bool_]) -> bool:
@@ -610,7 +558,7 @@ class Fitter:
             self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
         return self._finer
 
-    def _taken_wide(self, at: Array, hessian: Array) -> _Wide:
+    def _taken_wide(self, at: Array, hessian: Array) -> Wide:
         """Return derivatives over some sigmas to both sides, as of `_jacobians`.
 
         Args:
@@ -629,27 +577,27 @@ class Fitter:
             each.ends(at, self._lower, rows) for each, rows in zip(moves, varied, strict=True)
         ]
         ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
-        errors, good = self._simulated(points, self._time_step)
-        finer, fine = self._simulated(ahead, self._time_step, refined=2)
+        errors, good = self._simulated(points)
+        finer, fine = self._simulated(ahead, refined=2)
         rough, exact = [], []
         for k, (move, rows) in enumerate(zip(moves, varied, strict=True)):
             sound = good[k].copy()
             sound[: len(fine[k])] &= fine[k]
-            self._check_motion(sound, rows, np.concatenate([move.steps, -move.steps]))
+            self._simulator.check_motion(sound, rows, np.concatenate([move.steps, -move.steps]))
             change = move.change(errors[k])
-            rough.append(self._by_coordinates(k, rows, move.steps, change))
+            rough.append(self._simulator.by_coordinates(k, rows, move.steps, change))
             more = finer[k] - errors[k][: len(fine[k])]
             change = change + 4.0 / 3.0 * (more[1:] - more[0])
-            exact.append(self._by_coordinates(k, rows, move.steps, change))
+            exact.append(self._simulator.by_coordinates(k, rows, move.steps, change))
         if alike:
             for each in (rough, exact):
                 self._fill_alike(each)
         near = self._jacobians(at, coarse=True)
-        return _Wide(at=at.copy(), rough=rough, exact=exact, near=near)
+        return Wide(at=at.copy(), rough=rough, exact=exact, near=near)
 
     def _doubted(
         self,
-        wide: _Wide,
+        wide: Wide,
         errors: Sequence[Array],
         jacobians: Sequence[Array],
         noise: PoseErrorNoise,
@@ -680,53 +628,27 @@ class Fitter:
             for own, followed in zip(self._own, self._followed, strict=True)
         ]
 
+    def _simulated(
+        self, points: Sequence[Array], *, refined: int = 1
+    ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Simulate all runs, as `RunSimulator.errors`."""
+        return self._simulator.errors(self._runs, points, self._time_step, refined=refined)
+
     def _slopes(
         self, at: Array, searched: NDArray[np.bool_], time_step: float, *, refined: int = 1
     ) -> list[Array]:
-        """Return differences of errors over short changes of one coordinate each.
+        """Return differences of errors over short changes of one coordinate each, (K, 6, p) a run.
 
         Args:
             at: All coordinates.
             searched: By which of them.
             time_step: At most [s].
             refined: Steps that each of these is divided into.
-
-        Returns:
-            Of each run, shape (K, 6, p).
         """
         size = STEP_OF_MANY if self._many else FINITE_DIFFERENCE_STEP
-        varied = self._varied(searched)
-        points = []
-        for rows in varied:
-            ends = np.tile(at, (1 + len(rows), 1))
-            ends[1:, rows] += size * np.eye(len(rows))
-            points.append(ends)
-        errors, good = self._simulated(points, time_step, refined=refined)
-        jacobians = []
-        for k, (rows, each) in enumerate(zip(varied, errors, strict=True)):
-            steps = size * np.eye(len(rows))
-            self._check_motion(good[k], rows, steps)
-            jacobians.append(self._by_coordinates(k, rows, steps, each[1:] - each[0]))
-        return jacobians
-
-    def _check_motion(
-        self, sound: NDArray[np.bool_], rows: NDArray[np.int64], steps: Array
-    ) -> None:
-        """Refuse a robot that does not move, here or after steps of some coordinates."""
-        if not sound.all():
-            row = int(np.argmin(sound)) - 1
-            name = "" if row < 0 else self._names[rows[np.argmax(np.abs(steps[row]))]]
-            beside = f" with another {name}" if name else ""
-            raise CarosacError(f"identification: no finite motion of the robot{beside}")
-
-    def _by_coordinates(
-        self, k: int, rows: NDArray[np.int64], steps: Array, change: Array
-    ) -> Array:
-        """Return derivatives (K, 6, p) of a run's errors from their change (p', K, 6) by steps."""
-        jacobian = np.zeros((*change.shape[1:], len(self._own[k])))
-        slope = np.moveaxis(change, 0, 2) @ np.linalg.inv(steps).T
-        jacobian[:, :, np.isin(self._own[k], rows)] = slope
-        return jacobian
+        return self._simulator.slopes(
+            self._runs, at, self._varied(searched), size=size, time_step=time_step, refined=refined
+        )
 
     def _normal(
         self,
@@ -793,7 +715,7 @@ class Fitter:
         noise: PoseErrorNoise,
         damping: float,
         least: float,
-    ) -> _Step:
+    ) -> Step:
         """Search a Levenberg-Marquardt step that lowers the cost.
 
         It gives up once steps are damped so much that none promises more than the `least` decrease.
@@ -828,9 +750,9 @@ class Fitter:
             damping *= 5.0
         if self._sways:
             self._errors_at(at)  # trials are near there again
-        return _Step(at=at, errors=errors, cost=lowest)
+        return Step(at=at, errors=errors, cost=lowest)
 
-    def _exactly(self, step: _Step, noise: PoseErrorNoise) -> _Step:
+    def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
         """Return a step with errors of vanishing time steps, where only the sway counts."""
         if not self._sways:
             return step
@@ -873,7 +795,7 @@ class Fitter:
 
     def _best(
         self, points: Array, trials: list[Array], costs: list[float], noise: PoseErrorNoise
-    ) -> _Step | None:
+    ) -> Step | None:
         """Return where the best of some stretches of a step leads, or None.
 
         The first motion follows a change of the robot far from linearly. Where only the sway
@@ -881,14 +803,14 @@ class Fitter:
         the robot looks worse than a short one.
         """
         follow = self._many and bool(self._searched[: self._count].any())
-        ends: list[_Step] = []
+        ends: list[Step] = []
         for k in np.argsort(costs):
             if not np.isfinite(costs[k]):
                 break
             point, found = points[k], [each[k] for each in trials]
             if follow:
                 point, found = self._restarted(point, found, noise)
-            ends.append(_Step(at=point, errors=found, cost=self._cost(point, found, noise)))
+            ends.append(Step(at=point, errors=found, cost=self._cost(point, found, noise)))
             if not self._sways:
                 break
         return min(ends, key=lambda end: end.cost, default=None)
@@ -1025,96 +947,6 @@ class Fitter:
         own = slice(self._count)
         moved[own] = self._unknowns.moved(at[own], step[own])
         return np.asarray(np.maximum(moved, self._lower))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Near:
-    """Derivatives over short steps, by the time steps of the search.
-
-    Attributes:
-        at: All coordinates where they were taken.
-        runs: Of which, the same object.
-        jacobians: Of errors of each run, shape (K, 6, p).
-    """
-
-    at: Array
-    runs: tuple[FittedRun, ...]
-    jacobians: list[Array]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Wide:
-    """Derivatives over some sigmas, of errors of each run, shape (K, 6, p).
-
-    Attributes:
-        at: All coordinates where they were taken.
-        rough: Of the time steps of the search.
-        exact: Of vanishing ones.
-        near: Over short steps, of the time steps of the search.
-    """
-
-    at: Array
-    rough: list[Array]
-    exact: list[Array]
-    near: list[Array]
-
-    @property
-    def jacobians(self) -> list[Array]:
-        """Means of the exact ones and of those over short steps."""
-        return [0.5 * (exact + near) for exact, near in zip(self.exact, self.near, strict=True)]
-
-    def is_stale(self, at: Array, hessian: Array, robot: int) -> bool:
-        """Say whether a search has left them by more than a sigma of each coordinate of the robot.
-
-        Args:
-            at: All coordinates now.
-            hessian: Of the cost.
-            robot: How many coordinates are of the robot, the first ones.
-        """
-        own, start = slice(robot), slice(robot, None)
-        off = (at - self.at)[own]
-        follow = np.linalg.solve(hessian[start, start], hessian[start, own] @ off)
-        return bool(
-            off @ (hessian[own, own] @ off - hessian[own, start] @ follow) > STALE_SIGMAS**2 * robot
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Step:
-    """End of a step.
-
-    Attributes:
-        at: All coordinates there.
-        errors: Of each run, shape (K, 6).
-        cost: As the search judged it.
-        damping: To begin the next one with.
-        decrease: Of the cost.
-    """
-
-    at: Array
-    errors: list[Array]
-    cost: float
-    damping: float = DAMPING_START
-    decrease: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Search:
-    """End of a search.
-
-    Attributes:
-        at: All coordinates there.
-        errors: Of each run, shape (K, 6).
-        jacobians: Of each run, where the last step began, shape (K, 6, p).
-        count: Steps.
-        settled: True if the last one promised little, or brought little by exact derivatives.
-    """
-
-    at: Array
-    errors: list[Array]
-    jacobians: list[Array]
-    count: int
-    settled: bool
 
 
 def _tries(hessian: Array, gradient: Array) -> list[Array]:
