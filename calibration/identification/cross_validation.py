@@ -78,13 +78,13 @@ class Folds:
 
     Attributes:
         parts: At least two.
-        precision: Of what is known beside the data, about coordinates of 0, shape (p, p).
+        known: What is known beside the data; its cost does not count.
         at: The estimate, shape (p,).
         fixed: Coordinates at their bounds, which stay there, shape (p,).
     """
 
     parts: Sequence[Fold]
-    precision: Array
+    known: Fold
     at: Array
     fixed: NDArray[np.bool_]
 
@@ -94,8 +94,8 @@ class Folds:
         Args:
             held: Coordinates that are held at 0, shape (p,).
         """
-        information = self.precision + sum(part.information for part in self.parts)
-        gradient = self.precision @ self.at + sum(part.gradient for part in self.parts)
+        information = self.known.information + sum(part.information for part in self.parts)
+        gradient = self.known.gradient + sum(part.gradient for part in self.parts)
         free = ~(held | self.fixed)
         change = np.where(held, -self.at, 0.0)
         costs = []

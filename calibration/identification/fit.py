@@ -412,10 +412,9 @@ class Fitter:
                 gradient, information = np.zeros(size), np.zeros((size, size))
                 gradient[own], information[np.ix_(own, own)] = fold.gradient, fold.information
                 parts.append(Fold(cost=fold.cost, gradient=gradient, information=information))
-        at, lower = state.at[:size], self._lower[:size]
-        return Folds(
-            parts=parts, precision=self._precision[:size, :size], at=at.copy(), fixed=at <= lower
-        )
+        at, lower, pull = state.at[:size].copy(), self._lower[:size], self._known_pull(state.at)
+        known = Fold(cost=0.0, gradient=pull[:size], information=self._precision[:size, :size])
+        return Folds(parts=parts, known=known, at=at, fixed=at <= lower)
 
     def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Fold:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""
@@ -661,19 +660,24 @@ class Fitter:
 
         Measured frequencies are taken up in what is known beside the recordings.
         """
-        information = np.zeros_like(self._prior)
-        gradient = self._prior @ at
+        information, gradient = np.zeros_like(self._prior), self._known_pull(at)
         if self._frequencies is not None:
             robot = slice(self._count)
             self._precision = self._prior.copy()
             self._precision[robot, robot] += self._frequencies.information(at[robot])
-            gradient[robot] += self._frequencies.gradient(at[robot])
         for k in self._kept:
             own, error = self._own[k], errors[k]
             flat, weights = jacobians[k].reshape(-1, len(own)), noise.weights(error).ravel()
             information[np.ix_(own, own)] += self._product(k, weights, flat, flat)
             gradient[own] += self._product(k, weights, flat, error.reshape(-1, 1))[:, 0]
         return information, gradient
+
+    def _known_pull(self, at: Array) -> Array:
+        """Return half the derivative of the cost of what is known beside the recordings."""
+        pull = np.asarray(self._prior @ at)
+        if self._frequencies is not None:
+            pull[: self._count] += self._frequencies.gradient(at[: self._count])
+        return pull
 
     def _product(self, k: int, weights: Array, left: Array, right: Array) -> Array:
         """Return left^T W right, (N, a) and (N, b), of errors of a run with weights (N,)."""

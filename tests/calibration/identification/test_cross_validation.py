@@ -49,7 +49,7 @@ class Regression:
                 Fold(cost=float(e @ e), gradient=s.T @ e, information=s.T @ s)
                 for s, e in zip(self.slopes, off, strict=True)
             ],
-            precision=self.precision,
+            known=Fold(cost=0.0, gradient=self.precision @ at, information=self.precision),
             at=at,
             fixed=np.zeros(6, dtype=bool),
         )
@@ -91,7 +91,7 @@ def test_words_say_what_was_found():
 
 def test_a_coordinate_at_its_bound_stays_there():
     folds = Regression(0).folds()
-    bound = Folds(parts=folds.parts, precision=folds.precision, at=folds.at, fixed=mask(5))
+    bound = replace(folds, fixed=mask(5))
     free = folds.held_out(mask())
     assert not np.allclose(bound.held_out(mask()), free)
     assert bound.held_out(mask(5)) == pytest.approx(folds.held_out(mask(5)))

@@ -148,6 +148,17 @@ def test_they_tell_what_a_short_recording_does_not(found):
     assert (with_them.sigma < 1.1 * without.sigma).all()
 
 
+def test_the_estimate_is_where_recording_and_frequencies_pull_alike(found):
+    folds = found[1].folds
+    parts = [folds.known, *folds.parts]
+    pull, information = sum(each.gradient for each in parts), sum(e.information for e in parts)
+    free = ~folds.fixed
+    left = pull[free] @ np.linalg.solve(information[np.ix_(free, free)], pull[free])
+    assert left < 0.1 * free.sum()
+    as_prior = (folds.known.information @ folds.at - folds.known.gradient)[free]  # about 0
+    assert as_prior @ np.linalg.solve(information[np.ix_(free, free)], as_prior) > 10.0 * left
+
+
 def test_a_result_says_how_well_they_fit(found):
     assert any("9 measured frequencies: off by" in line for line in found[1].sentences())
     assert len(found[1].data()["frequencies"]["after_Hz"]) == 9

@@ -71,8 +71,8 @@ def test_each_recording_can_be_held_out_of_the_fit(found):
     """The estimate is where the parabolas of all of them are least, and it costs to leave one."""
     folds = found.folds
     assert len(folds.parts) == 10
-    information = folds.precision + sum(part.information for part in folds.parts)
-    pull = folds.precision @ folds.at + sum(part.gradient for part in folds.parts)
+    information = sum(part.information for part in [folds.known, *folds.parts])
+    pull = sum(part.gradient for part in [folds.known, *folds.parts])
     assert pull @ np.linalg.solve(information, pull) < 0.1 * len(pull)
     held_out = folds.held_out(np.zeros(len(pull), dtype=bool))
     assert (held_out > [part.cost for part in folds.parts]).mean() > 0.8
