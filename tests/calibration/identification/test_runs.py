@@ -14,7 +14,7 @@ from benchmarks.calibration_oscillations import (
     draw_plant,
     robot_with_pulleys,
 )
-from calibration.identification import fit, procedure, spread
+from calibration.identification import fit, procedure, search_state, spread
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -142,7 +142,7 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(at, errors, exact, noise)
-    wide = fit._Wide(at=at, rough=rough, exact=exact, near=rough)
+    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough)
     return fitter, at, errors, noise, wide, information
 
 
@@ -198,7 +198,8 @@ def test_moves_of_some_sigmas_lead_to_robots(near):
         ends = moves.ends(at, fitter._lower, rows)
         assert (ends >= fitter._lower).all()
         on_bound += np.isclose(ends[:, cut], fitter._lower[cut], atol=1e-9).sum()
-        assert all(fitter._robot(end[: fitter._count], {}) is not None for end in ends)
+        for end in ends:
+            fitter._unknowns.robot_at(end[: fitter._count])  # refuses what is no robot
     assert on_bound and not both.all()
 
 
@@ -220,7 +221,7 @@ def test_with_its_bend_a_draw_fits_as_its_derivatives_promise(near):
     fitter, at, errors, noise, wide, information = near
     hessian = information + fitter._precision
     inverse = np.linalg.inv(hessian)
-    state = fit._Search(at=at, errors=errors, jacobians=wide.exact, count=1, settled=True)
+    state = search_state.Search(at=at, errors=errors, jacobians=wide.exact, count=1, settled=True)
     room = np.where(fitter._searched, at - fitter._lower, 0.0)
     draws = symmetric_draws(0.3 * np.linalg.cholesky(inverse), room)
 
@@ -299,8 +300,8 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
     at, simulated = fitter._first, fitter._simulated
     errors = fitter._errors_at(at)
 
-    def wild(points, time_step, *, refined=1):
-        found, good = simulated(points, time_step, refined=refined)
+    def wild(points, *, refined=1):
+        found, good = simulated(points, refined=refined)
         found[2] = found[2] + 0.01 * (-1.0) ** (refined // 2)  # does not fall with the step
         return found, good
 
