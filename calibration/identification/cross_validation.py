@@ -6,7 +6,8 @@ cost of each is a parabola, so that the fit without it, and without some of the 
 from one fit with all of them; held-out recordings are judged with a start of their own, as always.
 
 Parameters are kept one after another, the best first, as long as squared errors of
-what is held out fall by more than their standard error (the rule of one standard error).
+what is held out fall by more than their standard error (the rule of one standard error). If a fit
+without the others predicts worse than that of all, by as much, all are kept.
 
 References:
     Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd ed., 2009, 7.10.
@@ -15,12 +16,13 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identification.error_noise import PoseErrorNoise
 from carosac_toolkit.base.arrays import Array
 
 
@@ -81,12 +83,16 @@ class Folds:
         known: What is known beside the data; its cost does not count.
         at: The estimate, shape (p,).
         fixed: Coordinates at their bounds, which stay there, shape (p,).
+        noise: By which errors count.
+        places: Which part each is, of all that there are.
     """
 
     parts: Sequence[Fold]
     known: Fold
     at: Array
     fixed: NDArray[np.bool_]
+    noise: PoseErrorNoise
+    places: tuple[int, ...]
 
     def held_out(self, held: NDArray[np.bool_]) -> Array:
         """Return the cost of each part after a fit to all others.
@@ -105,6 +111,29 @@ class Folds:
             change[free] = -np.linalg.solve(others[:, free], pull)
             costs.append(part.at(change))
         return np.array(costs)
+
+    def verified(self, without: Folds, judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Keep all candidates if a fit without those that were to be held predicts worse.
+
+        A fit without them may be a long way off, and the cost no parabola there.
+
+        Args:
+            without: Of the fit without them, by the noise of these.
+            judged: What was chosen.
+        """
+        costs = [
+            dict(zip(folds.places, folds.held_out(np.zeros(len(folds.at), np.bool_)), strict=True))
+            for folds in (self, without)
+        ]
+        both = sorted(set(self.places) & set(without.places))
+        with_them, without_them = (np.array([each[place] for place in both]) for each in costs)
+        gains = without_them - with_them
+        error = float(np.sqrt(len(gains)) * gains.std(ddof=1))
+        if gains.sum() <= error:
+            return tuple(judged)
+        total = float(without_them.sum())
+        together = {"kept": True, "gain": float(gains.sum()) / total, "error": error / total}
+        return tuple(one if one.kept else replace(one, **together) for one in judged)
 
     def choose(self, groups: Mapping[str, NDArray[np.bool_]]) -> tuple[Candidate, ...]:
         """Choose among parameters.

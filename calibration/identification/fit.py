@@ -112,6 +112,7 @@ class Fitter:
         *,
         robot_at: Array | None = None,
         frequencies: FrequencyTable | None = None,
+        judge: PoseErrorNoise | None = None,
     ) -> None:
         """Take the data.
 
@@ -122,6 +123,7 @@ class Fitter:
             robot_at: Coordinates (k,) at which the robot is held, so that only the starts of the
                 runs are searched; None: they are searched too.
             frequencies: Measured beside the recordings; None: none.
+            judge: Noise by which parts that are held out count; None: as in the fit.
         """
         self._unknowns = unknowns
         self._runs = tuple(runs)
@@ -145,6 +147,7 @@ class Fitter:
         self._sigma = np.concatenate([unknowns.prior.sigma, np.ones(loose)])
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
         self._prior = block_diag(unknowns.prior.information, np.eye(loose))
+        self._judge = judge
         self._precision = self._prior  # of the prior, and of measured frequencies
         self._frequencies = None if frequencies is None else KnownFrequencies(frequencies, unknowns)
         self._first = np.concatenate(
@@ -213,7 +216,7 @@ class Fitter:
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         spread = self._spread(state, noise, root, inverse)
-        folds = self._folds(state, noise)
+        folds = self._folds(state, self._judge or noise)
         information /= self._axes * excess
         if left_out:
             apart = self._beside(at, [whole[k] for k in left_out])
@@ -414,7 +417,8 @@ class Fitter:
                 parts.append(Fold(cost=fold.cost, gradient=gradient, information=information))
         at, lower, pull = state.at[:size].copy(), self._lower[:size], self._known_pull(state.at)
         known = Fold(cost=0.0, gradient=pull[:size], information=self._precision[:size, :size])
-        return Folds(parts=parts, known=known, at=at, fixed=at <= lower)
+        places = tuple(self._kept) if self._many else tuple(range(len(parts)))
+        return Folds(parts=parts, known=known, at=at, fixed=at <= lower, noise=noise, places=places)
 
     def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Fold:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""

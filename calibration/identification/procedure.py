@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.error_noise import RUNS_APART_MIN
+from calibration.identification.error_noise import RUNS_APART_MIN, PoseErrorNoise
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.frequencies import ComparedFrequencies, FrequencyTable
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -186,7 +186,10 @@ def _chosen(
     judged = found.folds.choose({name: group == name for name in candidates})
     held = [one.name for one in judged if not one.kept]
     if held:
-        found = _identify(parts, robot, whole.without(held), report, frequencies)
+        folds, settings = found.folds, whole.without(held)
+        without = _identify(parts, robot, settings, report, frequencies, folds.noise)
+        judged = folds.verified(without.folds, judged)
+        found = found if all(one.kept for one in judged) else without
     return replace(found, candidates=judged)
 
 
@@ -232,6 +235,7 @@ def _identify(
     settings: IdentificationSettings | None,
     report: ProgressCallback,
     frequencies: FrequencyTable | None,
+    judge: PoseErrorNoise | None = None,
 ) -> Identification:
     """Identify a robot from parts of recordings, first those that are fitted."""
     if frequencies is not None:
@@ -258,10 +262,11 @@ def _identify(
         runs = prepare(windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
-        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies)
+        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
         fit = fitter.finish(nearly, report)
     else:
-        fit = Fitter(unknowns, trained, chosen, frequencies=frequencies).run(report)
+        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
+        fit = fitter.run(report)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.spread)

@@ -9,6 +9,7 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.cross_validation import Fold, Folds
+from calibration.identification.error_noise import PoseErrorNoise
 from calibration.identification.procedure import identify
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
@@ -52,6 +53,8 @@ class Regression:
             known=Fold(cost=0.0, gradient=self.precision @ at, information=self.precision),
             at=at,
             fixed=np.zeros(6, dtype=bool),
+            noise=PoseErrorNoise(sigma=np.ones(6), repeats=np.ones(6)),
+            places=tuple(range(12)),
         )
 
 
@@ -80,6 +83,19 @@ def test_what_is_of_the_model_is_kept_and_what_is_not_is_left():
 
 
 GROUPS = {"true": mask(2, 3), "none": mask(4, 5)}
+
+
+def test_all_are_kept_where_a_fit_without_them_predicts_worse():
+    """As where they are so far from the robot file that the cost is no parabola there."""
+    folds = Regression(0).folds()
+    judged = folds.choose(GROUPS)
+    assert folds.verified(folds, judged) == judged
+    worse = [replace(part, cost=1.3 * part.cost) for part in folds.parts]
+    verified = folds.verified(replace(folds, parts=worse), judged)
+    assert all(one.kept for one in verified)
+    assert next(one.gain for one in verified if one.name == "none") > 0.1
+    some = replace(folds, parts=worse[:5], places=(0, 3, 4, 7, 8))  # others were left out of it
+    assert folds.verified(some, judged)[0] == judged[0]
 
 
 def test_words_say_what_was_found():
