@@ -132,8 +132,11 @@ class Folds:
         if gains.sum() <= error:
             return tuple(judged)
         total = float(without_them.sum())
-        together = {"kept": True, "gain": float(gains.sum()) / total, "error": error / total}
-        return tuple(one if one.kept else replace(one, **together) for one in judged)
+        gain = float(gains.sum())  # of all of them together
+        return tuple(
+            one if one.kept else replace(one, kept=True, gain=gain / total, error=error / total)
+            for one in judged
+        )
 
     def choose(self, groups: Mapping[str, NDArray[np.bool_]]) -> tuple[Candidate, ...]:
         """Choose among parameters.

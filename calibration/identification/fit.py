@@ -416,9 +416,11 @@ class Fitter:
                 gradient[own], information[np.ix_(own, own)] = fold.gradient, fold.information
                 parts.append(Fold(cost=fold.cost, gradient=gradient, information=information))
         at, lower, pull = state.at[:size].copy(), self._lower[:size], self._known_pull(state.at)
-        known = Fold(cost=0.0, gradient=pull[:size], information=self._precision[:size, :size])
+        beside = Fold(cost=0.0, gradient=pull[:size], information=self._precision[:size, :size])
         places = tuple(self._kept) if self._many else tuple(range(len(parts)))
-        return Folds(parts=parts, known=known, at=at, fixed=at <= lower, noise=noise, places=places)
+        return Folds(
+            parts=parts, known=beside, at=at, fixed=at <= lower, noise=noise, places=places
+        )
 
     def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Fold:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""
