@@ -82,7 +82,7 @@ class Options(CommonOptions):
     rest or in motion. Several recordings are fitted as a whole."""
     test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Of one recording: samples that are scored only; by default all after those of --train."""
-    frequencies: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    frequencies: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """CSV table of natural frequencies that were measured at rest, fitted beside the recordings:
     columns unstrained_length_01_m ..., frequency_Hz, sigma_Hz, and mode or shape_x_m ..."""
     candidates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
@@ -129,12 +129,13 @@ def run(options: Options) -> CommandResult:
         )  # fmt: skip
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
+    beside = f" and {Path(options.frequencies).name}" if options.frequencies else ""
     worst = result.worst
     found = remaining_effects(recordings[worst], result, result.runs[worst])
     effects = found if isinstance(found, ResidualEffects) else None
     print()
     _print(result, effects)
-    ranges += ["--frequencies", str(options.frequencies)] if options.frequencies else []
+    ranges += ["--frequencies", options.frequencies] if options.frequencies else []
     ranges += ["--candidates", *options.candidates] if options.candidates else []
     command = [
         "carosac", "identify", *options.recordings, "--robot", robot_source.name, *ranges,
@@ -145,7 +146,7 @@ def run(options: Options) -> CommandResult:
         f"Identification of {result.robot.name}",
         result,
         report_content(result, recordings, effects),
-        provenance=_provenance(given, recordings, robot_source),
+        provenance=_provenance(options, recordings, robot_source),
         command=command,
     )
     print(f"\nreport: {files[-1]}, pictures beside it")
@@ -153,7 +154,7 @@ def run(options: Options) -> CommandResult:
     write_new_robot(
         result, robot_source.name, output,
         name=output.stem if output else None, model_error=result.model_error,
-        provenance=f"carosac identify, {fitted}",
+        provenance=f"carosac identify, {fitted}{beside}",
     )  # fmt: skip
     if output != options.output:
         print(f"\nno robot file was written: {options.output} would be of no use")
@@ -241,12 +242,14 @@ def _default_folder(paths: Sequence[Path], robot_source: FoundRobot) -> Path:
 
 
 def _provenance(
-    given: Sequence[str], recordings: Sequence[Recording], robot_source: FoundRobot
+    options: Options, recordings: Sequence[Recording], robot_source: FoundRobot
 ) -> dict[str, str]:
     """Return the inputs by name."""
     metadata = recordings[0].metadata
+    given = (*options.recordings, *options.held_out)
     return {
         "recording" if len(given) == 1 else "recordings": ", ".join(given),
+        **({"frequencies": options.frequencies} if options.frequencies else {}),
         "description": metadata.description,
         "source": metadata.source,
         "licence": metadata.licence,

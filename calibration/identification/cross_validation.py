@@ -23,26 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identification.error_noise import PoseErrorNoise
+from calibration.identification.quadratic import Quadratic
 from carosac_toolkit.base.arrays import Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fold:
-    """Cost of a part of the data, c + 2 g^T d + d^T A d, where p coordinates change by d.
-
-    Attributes:
-        cost: c.
-        gradient: g, shape (p,).
-        information: A, shape (p, p).
-    """
-
-    cost: float
-    gradient: Array
-    information: Array
-
-    def at(self, change: Array) -> float:
-        """Return the cost after a change (p,)."""
-        return float(self.cost + (2.0 * self.gradient + self.information @ change) @ change)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,18 +61,18 @@ class Folds:
     """Parts of the data about an estimate of p coordinates, all of them free.
 
     Attributes:
-        parts: At least two.
-        known: What is known beside the data; its cost does not count.
+        parts: Costs of at least two, of a change from the estimate.
+        known: Of what is known beside the data.
         at: The estimate, shape (p,).
-        fixed: Coordinates at their bounds, which stay there, shape (p,).
+        lower: Bounds of the coordinates, shape (p,).
         noise: By which errors count.
         places: Which part each is, of all that there are.
     """
 
-    parts: Sequence[Fold]
-    known: Fold
+    parts: Sequence[Quadratic]
+    known: Quadratic
     at: Array
-    fixed: NDArray[np.bool_]
+    lower: Array
     noise: PoseErrorNoise
     places: tuple[int, ...]
 
@@ -102,13 +84,14 @@ class Folds:
         """
         information = self.known.information + sum(part.information for part in self.parts)
         gradient = self.known.gradient + sum(part.gradient for part in self.parts)
-        free = ~(held | self.fixed)
-        change = np.where(held, -self.at, 0.0)
+        free, change = ~held, np.where(held, -self.at, 0.0)
+        room = np.minimum(self.lower - self.at, 0.0)[free]
         costs = []
         for part in self.parts:
             others = (information - part.information)[free]
             pull = (gradient - part.gradient)[free] + others @ np.where(free, 0.0, change)
-            change[free] = -np.linalg.solve(others[:, free], pull)
+            rest = Quadratic(cost=0.0, gradient=pull, information=others[:, free])
+            change[free] = rest.least_within(room)
             costs.append(part.at(change))
         return np.array(costs)
 

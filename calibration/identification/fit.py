@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from calibration.identification.cross_validation import Fold, Folds
+from calibration.identification.cross_validation import Folds
 from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
 from calibration.identification.error_noise import (
     RUNS_APART_MIN,
@@ -18,6 +18,7 @@ from calibration.identification.error_noise import (
     estimate_noise,
 )
 from calibration.identification.frequencies import FrequencyTable, KnownFrequencies
+from calibration.identification.quadratic import Quadratic
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
 from calibration.identification.search_state import DAMPING_START, Near, Search, Step, Wide
@@ -54,7 +55,9 @@ STEPS_PER_SHARE = 4  # for each share but the last
 ROUGH_STEPS_MAX = 4  # with all poses of a sway, before derivatives over sigmas are taken
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
-HELD_OUT_STRETCHES = 8  # of few recordings, each of which is held out once
+# Of few recordings together, each of which is held out once; and of each, as a start that is held
+# out altogether is not known.
+HELD_OUT_STRETCHES, HELD_OUT_OF_EACH = 8, 2
 CORRELATED_AXES = 6.0  # axes that count as one in few recordings: one swing shows in all of them
 COARSE_STEP_RATIO = 2.0  # of the simulator's time steps, for coarse derivatives and for errors
 STRETCHES = (1.0, 2.0, 4.0)  # of a step, of which the best is taken: weights that fall with errors
@@ -148,12 +151,14 @@ class Fitter:
         self._lower = np.concatenate([unknowns.lower, np.full(loose, -np.inf)])
         self._prior = block_diag(unknowns.prior.information, np.eye(loose))
         self._judge = judge
-        self._precision = self._prior  # of the prior, and of measured frequencies
-        self._frequencies = None if frequencies is None else KnownFrequencies(frequencies, unknowns)
+        self._frequencies = (
+            None if frequencies is None else KnownFrequencies(table=frequencies, unknowns=unknowns)
+        )
         self._first = np.concatenate(
             [unknowns.prior.mean if robot_at is None else robot_at]
             + [run.sway.guess for run in runs]
         )
+        self._known = self._known_about(self._first)  # beside the recordings
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
@@ -209,8 +214,9 @@ class Fitter:
         noise = self._noise(state.errors)
         if self._wide is not None:
             self._doubts = self._doubted(self._wide, state.errors, state.jacobians, noise)
-        information, _ = self._normal(at, state.errors, state.jacobians, noise)
-        inverse = np.linalg.inv(information + self._precision)
+        self._known = self._known_about(at)
+        information, _ = self._normal(state.errors, state.jacobians, noise)
+        inverse = np.asarray(np.linalg.inv(information + self._precision), float)
         excess = self._excess(state, noise, information, inverse)
         own = slice(self._count)
         scores = self._axes * excess * information  # as they vary, beside the prior
@@ -318,8 +324,9 @@ class Fitter:
             report(poses, *_rms(np.concatenate(errors)))
             if self._wide is not None:
                 self._doubts = self._doubted(self._wide, errors, jacobians, noise)
-            information, gradient = self._normal(at, errors, jacobians, noise)
-            hessian = information + self._precision
+            self._known = self._known_about(at)
+            information, gradient = self._normal(errors, jacobians, noise)
+            hessian, gradient = information + self._precision, gradient + self._known.gradient
             rough = coarse and self._sways and steps is None
             promise = self._promise(self._bounded(at, hessian, gradient), hessian, gradient)
             settled, stuck = promise <= (near if rough else least), False
@@ -336,7 +343,7 @@ class Fitter:
             if ended or count == ROUGH_STEPS_MAX:
                 if rough:
                     self._leave_out(at, errors)
-                    information, _ = self._normal(at, errors, jacobians, noise)
+                    information, _ = self._normal(errors, jacobians, noise)
                     hessian = information + self._precision
                 coarse &= not (ended or rough)
         settled &= final
@@ -390,42 +397,46 @@ class Fitter:
 
         Each of many recordings has a start of its own, which follows.
         """
-        count, parts = self._count, list[Fold]()
+        count, parts = self._count, list[Quadratic]()
         size = count if self._many else len(state.at)
         total = sum(len(state.errors[k]) for k in self._kept)
         for k in self._kept:
             own, errors, slopes = self._own[k], state.errors[k], state.jacobians[k]
             if self._many:
-                fold = self._fold(k, noise, errors, slopes)
-                pull = fold.gradient[count:] + state.at[own[count:]]
-                known = fold.information[count:, count:] + np.eye(len(pull))
-                cross = fold.information[:count, count:]
-                follow = np.linalg.solve(known, np.column_stack([pull, cross.T]))
-                parts.append(
-                    Fold(
-                        cost=fold.cost,
-                        gradient=fold.gradient[:count] - cross @ follow[:, 0],
-                        information=fold.information[:count, :count] - cross @ follow[:, 1:],
-                    )
-                )
+                fold = self._with_start(k, state.at, self._fold(k, noise, errors, slopes))
+                parts.append(fold.least_beside(count))
                 continue
-            stretches = max(1, round(HELD_OUT_STRETCHES * len(errors) / total))
+            stretches = max(HELD_OUT_OF_EACH, round(HELD_OUT_STRETCHES * len(errors) / total))
             for rows in np.array_split(np.arange(len(errors)), stretches):
                 fold = self._fold(k, noise, errors[rows], slopes[rows])
                 gradient, information = np.zeros(size), np.zeros((size, size))
                 gradient[own], information[np.ix_(own, own)] = fold.gradient, fold.information
-                parts.append(Fold(cost=fold.cost, gradient=gradient, information=information))
-        at, lower, pull = state.at[:size].copy(), self._lower[:size], self._known_pull(state.at)
-        beside = Fold(cost=0.0, gradient=pull[:size], information=self._precision[:size, :size])
+                parts.append(replace(fold, gradient=gradient, information=information))
+        first = slice(size)
+        beside = replace(
+            self._known,
+            gradient=self._known.gradient[first],
+            information=self._precision[first, first],
+        )
         places = tuple(self._kept) if self._many else tuple(range(len(parts)))
         return Folds(
-            parts=parts, known=beside, at=at, fixed=at <= lower, noise=noise, places=places
-        )
+            parts=parts, known=beside, at=state.at[first].copy(), lower=self._lower[first],
+            noise=noise, places=places,
+        )  # fmt: skip
 
-    def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Fold:
+    def _with_start(self, k: int, at: Array, cost: Quadratic) -> Quadratic:
+        """Add what is known of the start of a run, which is last of what the run depends on."""
+        gradient, information = cost.gradient.copy(), cost.information.copy()
+        rows = self._own[k][self._count :]
+        loose = slice(len(gradient) - len(rows), None)
+        gradient[loose] += at[rows]
+        information[loose, loose] += np.eye(len(rows))
+        return replace(cost, gradient=gradient, information=information)
+
+    def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Quadratic:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""
         flat, weights = slopes.reshape(errors.size, -1), noise.weights(errors).ravel()
-        return Fold(
+        return Quadratic(
             cost=self._cost_of(k, errors, noise),
             gradient=self._product(k, weights, flat, errors.reshape(-1, 1))[:, 0],
             information=self._product(k, weights, flat, flat),
@@ -656,21 +667,10 @@ class Fitter:
         )
 
     def _normal(
-        self,
-        at: Array,
-        errors: Sequence[Array],
-        jacobians: Sequence[Array],
-        noise: PoseErrorNoise,
+        self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
     ) -> tuple[Array, Array]:
-        """Return the information of the recordings, and the gradient with all else.
-
-        Measured frequencies are taken up in what is known beside the recordings.
-        """
-        information, gradient = np.zeros_like(self._prior), self._known_pull(at)
-        if self._frequencies is not None:
-            robot = slice(self._count)
-            self._precision = self._prior.copy()
-            self._precision[robot, robot] += self._frequencies.information(at[robot])
+        """Return the information of the recordings, and half the derivative of their cost."""
+        information, gradient = np.zeros_like(self._prior), np.zeros(len(self._first))
         for k in self._kept:
             own, error = self._own[k], errors[k]
             flat, weights = jacobians[k].reshape(-1, len(own)), noise.weights(error).ravel()
@@ -678,12 +678,20 @@ class Fitter:
             gradient[own] += self._product(k, weights, flat, error.reshape(-1, 1))[:, 0]
         return information, gradient
 
-    def _known_pull(self, at: Array) -> Array:
-        """Return half the derivative of the cost of what is known beside the recordings."""
-        pull = np.asarray(self._prior @ at)
+    def _known_about(self, at: Array) -> Quadratic:
+        """Return the cost of what is known beside the recordings, about coordinates."""
+        pull, information = np.asarray(self._prior @ at), self._prior
         if self._frequencies is not None:
-            pull[: self._count] += self._frequencies.gradient(at[: self._count])
-        return pull
+            told, robot = self._frequencies.about(at[: self._count]), slice(self._count)
+            information = information.copy()
+            information[robot, robot] += told.information
+            pull[robot] += told.gradient
+        return Quadratic(cost=0.0, gradient=pull, information=information)
+
+    @property
+    def _precision(self) -> Array:
+        """Information of what is known beside the recordings."""
+        return self._known.information
 
     def _product(self, k: int, weights: Array, left: Array, right: Array) -> Array:
         """Return left^T W right, (N, a) and (N, b), of errors of a run with weights (N,)."""
@@ -889,13 +897,13 @@ class Fitter:
         have not followed yet looks worse than where it leads.
         """
         jacobians = self._jacobians(at, coarse=True, starts=True)
-        information, gradient = self._normal(at, errors, jacobians, noise)
-        hessian = information + self._precision
         own = [rows[self._count :] for rows in self._own]
         trial = np.tile(at, (len(START_TRIES), 1))
-        for rows in own:
-            steps = _tries(hessian[np.ix_(rows, rows)], gradient[rows])
-            trial[:, rows] += np.array(steps).reshape(len(trial), len(rows))
+        for k in self._kept:
+            slopes = jacobians[k][:, :, self._count :]
+            fold = self._with_start(k, at, self._fold(k, noise, errors[k], slopes))
+            steps = _tries(fold.information, fold.gradient)
+            trial[:, own[k]] += np.array(steps).reshape(len(trial), len(own[k]))
         trials, good = self._trials(trial)
         point, found = at.copy(), list(errors)
         for k in self._kept:
@@ -915,14 +923,11 @@ class Fitter:
         """
         if not (self._many and self._searched[: self._count].any()):
             return float(-(2.0 * gradient + hessian @ step) @ step)
-        own = np.flatnonzero(self._searched[: self._count])
-        start = np.flatnonzero(self._searched[self._count :]) + self._count
-        robot, cross = step[own], hessian[np.ix_(start, own)]
-        pull = gradient[start]
-        both = np.linalg.solve(hessian[np.ix_(start, start)], np.column_stack([pull, cross]))
-        left = hessian[np.ix_(own, own)] - cross.T @ both[:, 1:]
-        slope = gradient[own] - cross.T @ both[:, 0]
-        return float(-(2.0 * slope + left @ robot) @ robot)
+        rows = np.flatnonzero(self._searched)
+        robot = rows[rows < self._count]
+        cost = Quadratic(cost=0.0, gradient=gradient[rows], information=hessian[np.ix_(rows, rows)])
+        apart = cost.least_beside(len(robot))
+        return apart.cost - apart.at(step[robot])
 
     def _step(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Return a damped step."""

@@ -13,7 +13,9 @@ shape              ``shape_x_m`` y z of the platform origin in W, ``shape_roll_r
                    its axes, of any common size; empty cells were not measured
 =================  =================================================================================
 
-Of a shape the frequency is that of the mode which is most alike (modal assurance criterion).
+Of a shape the frequency is that of the mode of the robot as known before which is most alike
+(modal assurance criterion, over all that the mode moves: one that mostly does something else than
+what was measured is not alike). It is chosen once, so that a fit is of the same modes throughout.
 A damped sway is slower than an undamped one by half the square of its damping ratio; that is left
 out of account.
 
@@ -25,20 +27,21 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identification.quadratic import Quadratic
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.base.tables import Rows, counted
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.physics.rest.modes import natural_modes
+from carosac_toolkit.physics.rest.modes import Modes, natural_modes
 from carosac_toolkit.recordings.columns import CABLE_COLUMNS
 from carosac_toolkit.recordings.csv_file import read_table
 from carosac_toolkit.recordings.encoders import unstrained_lengths
@@ -49,10 +52,13 @@ from carosac_toolkit.robot.robot import Robot
 SHAPE_COLUMNS = tuple(f"shape_{axis}_m" for axis in "xyz") + tuple(
     f"shape_{axis}_rad" for axis in ("roll", "pitch", "yaw")
 )
+AMBIGUOUS_RATIO = 0.7  # of the likeness of the second mode to that of the first
+AMBIGUOUS_SIGMAS = 3.0  # of a frequency, by which modes that are alike have to differ to matter
 RATIO_MAX = 3.0  # of a measured to a modelled frequency at first: more is another mode or unit
 DERIVATIVE_STEP = 1e-4  # of coordinates
 FAR_SIGMAS = 4.0  # from the identified robot, beyond which a measured frequency is warned of
 MODES = 6
+MODE_ALLOWED = f"a mode from 1 to {MODES}, or a shape"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,13 +66,16 @@ class FrequencyTable:
     """Measured natural frequencies, m of them, of a robot of n cables at rest.
 
     Attributes:
-        reading: Of the lengths, as of the recordings [m], shape (m, n).
-        frequency: [Hz], shape (m,).
-        sigma: One standard deviation of each [Hz], shape (m,).
-        mode: Its place, from 1 for the slowest; 0: that of the shape, shape (m,).
+        reading: Of the lengths, as of the recordings [m], > 0, shape (m, n).
+        frequency: [Hz], > 0, shape (m,).
+        sigma: One standard deviation of each [Hz], > 0, shape (m,).
+        mode: Its place, from 1 for the slowest to 6; 0: that of the shape, shape (m,).
         shape: Twists (linear, angular, in W at the platform origin), of any size; NaN: not
             measured, shape (m, 6).
         rows: Names of the rows, for messages.
+
+    Raises:
+        InvalidField: Other sizes or values.
     """
 
     reading: Array
@@ -76,112 +85,169 @@ class FrequencyTable:
     shape: Array
     rows: tuple[str, ...]
 
+    def __post_init__(self) -> None:
+        """Refuse what is no table of frequencies."""
+        count = len(self.rows)
+        for name, size in (("frequency", ()), ("sigma", ()), ("mode", ()), ("shape", (MODES,))):
+            got = np.shape(getattr(self, name))
+            if got != (count, *size):
+                raise InvalidField(name, f"shape {got}", f"shape {(count, *size)}, as rows has")
+        if np.ndim(self.reading) != 2 or len(self.reading) != count:
+            got, allowed = f"shape {np.shape(self.reading)}", f"shape ({count}, n), as rows has"
+            raise InvalidField("reading", got, allowed)
+        for name in ("reading", "frequency", "sigma"):
+            values = np.asarray(getattr(self, name)).reshape(count, -1)
+            for k in np.flatnonzero(~((values > 0.0) & np.isfinite(values)).all(axis=1))[:1]:
+                raise InvalidField(f"{name}, {self.rows[k]}", values[k], "> 0, finite")
+        for k, (place, shape) in enumerate(zip(self.mode, self.shape, strict=True)):
+            if not _says_which(float(place) or np.nan, shape):
+                raise InvalidField(f"mode, {self.rows[k]}", place, MODE_ALLOWED)
+
     def modelled(self, robot: Robot) -> Array:
         """Return the frequencies of a robot [Hz], shape (m,); NaN where it does not hang at rest.
 
         Those of an unstable pose are negative.
+
+        Raises:
+            InvalidField: A shape without a mode, which `matched` finds.
         """
+        for k in np.flatnonzero(self.mode == 0)[:1]:
+            allowed = f"1 to {MODES}; 'matched' finds the modes of shapes"
+            raise InvalidField(f"mode, {self.rows[k]}", 0, allowed)
+        frequency = self._modes(robot).frequency
+        return np.asarray(frequency[np.arange(len(self.mode)), self.mode - 1])
+
+    def _modes(self, robot: Robot) -> Modes:
+        """Return all modes of a robot at m places; NaN where it does not hang at rest."""
         lengths = unstrained_lengths(robot, self.reading)
-        if (lengths <= 0.0).any():
-            return np.full(len(lengths), np.nan)
-        modes = natural_modes(robot, statics.forward_kinematics(robot, lengths))
-        row, place = np.arange(len(lengths)), self.mode - 1
-        by_shape = np.flatnonzero(self.mode == 0)
-        if len(by_shape):
-            alike = _likeness(self.shape[by_shape], modes.shape[by_shape], lever(robot))
-            place[by_shape] = alike.argmax(axis=1)
-        return np.asarray(modes.frequency[row, place])
+        there = np.asarray((lengths > 0.0).all(axis=1))
+        frequency, shape = np.full((len(there), MODES), np.nan), np.full((len(there), 6, 6), np.nan)
+        if there.any():
+            found = natural_modes(robot, statics.forward_kinematics(robot, lengths[there]))
+            frequency[there], shape[there] = found.frequency, found.shape
+        return Modes(frequency=frequency, shape=shape)
 
     def errors(self, robot: Robot) -> Array:
         """Return how much faster a robot sways than was measured, in sigmas, shape (m,)."""
         return np.asarray((self.modelled(robot) - self.frequency) / self.sigma)
 
-    def check(self, robot: Robot, name: str = "frequencies") -> None:
-        """Refuse what cannot be of this robot.
+    def matched(self, robot: Robot, name: str = "frequencies") -> FrequencyTable:
+        """Return the table with a mode for each shape: that of a robot which is most alike.
 
         Args:
             robot: As it is known before.
             name: Of the table, in messages.
 
         Raises:
-            InvalidField: Other cables, lengths on which it does not hang, or other frequencies.
+            InvalidField: What cannot be of this robot: other cables, lengths on which it does not
+                hang, other frequencies, or a shape that may be of several modes.
         """
         if self.reading.shape[1] != robot.n:
             got, allowed = f"lengths of {self.reading.shape[1]} cables", f"of {robot.n}"
             raise InvalidField(name, got, f"{allowed}, as robot {robot.name!r} has")
-        found = self.modelled(robot)
-        lost = [row for row, one in zip(self.rows, found, strict=True) if not np.isfinite(one)]
+        modes = self._modes(robot)
+        hangs = np.asarray(np.isfinite(modes.frequency).all(axis=1))
+        lost = [self.rows[k] for k in np.flatnonzero(~hangs)]
         if lost:
             got = f"{', '.join(lost[:3])}: lengths on which robot {robot.name!r} does not hang"
             raise InvalidField(name, got, "readings of its length sensors at rest")
         with np.errstate(divide="ignore"):
-            far = np.abs(np.log(np.maximum(found, 0.0) / self.frequency)) > np.log(RATIO_MAX)
-        for k in np.flatnonzero(far)[:1]:
+            ratio = np.log(np.maximum(modes.frequency, 0.0) / self.frequency[:, None])
+        near = np.abs(ratio) <= np.log(RATIO_MAX)
+        alike = self._likeness(modes.shape, lever(robot))
+        likely = np.where(near | ~near.any(axis=1, keepdims=True), alike, 0.0)
+        place = np.where(self.mode == 0, likely.argmax(axis=1) + 1, self.mode)
+        row = np.arange(len(place))
+        found = modes.frequency[row, place - 1]
+        for k in np.flatnonzero(self.mode == 0):
+            self._check_likeness(int(k), likely[k], modes.frequency[k], name)
+        for k in np.flatnonzero(~near[row, place - 1])[:1]:
             got = f"{self.rows[k]}: {self.frequency[k]:.4g} Hz, where it is {found[k]:.4g} Hz"
             allowed = f"natural frequencies of robot {robot.name!r} [Hz], within a factor of 3"
             raise InvalidField(name, got, allowed)
+        return replace(self, mode=place)
+
+    def _check_likeness(self, k: int, alike: Array, frequency: Array, name: str) -> None:
+        """Refuse a shape that is about as much like a second mode (6,) of another frequency."""
+        first, second = np.argsort(-alike)[:2]
+        apart = abs(frequency[first] - frequency[second]) > AMBIGUOUS_SIGMAS * self.sigma[k]
+        if apart and alike[second] > AMBIGUOUS_RATIO * alike[first]:
+            got = (
+                f"{self.rows[k]}: a shape as much like mode {first + 1}, {frequency[first]:.4g} "
+                f"Hz, as mode {second + 1}, {frequency[second]:.4g} Hz"
+            )
+            raise InvalidField(name, got, "more of the shape, or the mode by its number")
+
+    def _likeness(self, modes: Array, arm: float) -> Array:
+        """Return how much each mode is like the shape of a row, from 0 to 1, shape (m, 6).
+
+        Args:
+            modes: In columns, shape (m, 6, 6).
+            arm: By which turns compare with displacements [m].
+        """
+        unit = np.repeat([1.0, arm], 3)
+        seen = np.nan_to_num(self.shape, nan=0.0) * unit
+        each = modes * unit[:, None]
+        both = np.einsum("mi,mij->mj", seen, each) ** 2
+        sizes = (seen**2).sum(axis=1)[:, None] * (each**2).sum(axis=1)
+        return np.asarray(both / np.maximum(sizes, np.finfo(np.float64).tiny))
+
+    def changed(self, robot: Robot) -> list[int]:
+        """Return the rows whose shape is most like another mode of a robot than was taken."""
+        shaped = (np.nan_to_num(self.shape, nan=0.0) != 0.0).any(axis=1)
+        place = self._likeness(self._modes(robot).shape, lever(robot)).argmax(axis=1) + 1
+        return [int(k) for k in np.flatnonzero(shaped & (place != self.mode))]
 
 
-def _likeness(measured: Array, modes: Array, arm: float) -> Array:
-    """Return how much each mode is like a shape, from 0 to 1, shape (m, 6).
-
-    Args:
-        measured: Shape (m, 6); NaN: not measured.
-        modes: In columns, shape (m, 6, 6).
-        arm: By which turns compare with displacements [m].
-    """
-    unit = np.repeat([1.0, arm], 3)
-    known = np.isfinite(measured)
-    seen = np.where(known, measured, 0.0) * unit
-    each = np.where(known[:, :, None], modes, 0.0) * unit[:, None]
-    both = np.einsum("mi,mij->mj", seen, each) ** 2
-    sizes = (seen**2).sum(axis=1)[:, None] * (each**2).sum(axis=1)
-    return np.asarray(both / np.maximum(sizes, np.finfo(np.float64).tiny))
+def _says_which(place: float, shape: Array) -> bool:
+    """Say whether a mode, or, without one (NaN), a shape (6,) says which frequency it is."""
+    if np.isnan(place):
+        return bool(np.nan_to_num(shape, nan=0.0).any() and not np.isinf(shape).any())
+    return place in range(1, MODES + 1)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class KnownFrequencies:
-    """What measured frequencies tell of coordinates (k,) of a robot."""
+    """What measured frequencies tell of coordinates (k,) of a robot.
 
-    def __init__(self, table: FrequencyTable, unknowns: Coordinates) -> None:
-        """Begin without having looked anywhere."""
-        self._table = table
-        self._unknowns = unknowns
-        self._errors: dict[bytes, Array] = {}
-        self._slopes: tuple[bytes, Array] = (b"", np.zeros(0))
+    Attributes:
+        table: As measured, each of a mode.
+        unknowns: Of which robot.
+    """
+
+    table: FrequencyTable
+    unknowns: Coordinates
 
     def errors(self, coordinates: Array) -> Array:
         """Return errors in sigmas, shape (m,); infinite where there is no such robot at rest."""
-        key = coordinates.tobytes()
-        if key not in self._errors:
-            try:
-                found = self._table.errors(self._unknowns.robot_at(coordinates))
-            except InvalidField:
-                found = np.full(len(self._table.frequency), np.inf)
-            self._errors[key] = np.where(np.isfinite(found), found, np.inf)
-        return self._errors[key]
+        try:
+            found = self.table.errors(self.unknowns.robot_at(coordinates))
+        except InvalidField:
+            found = np.full(len(self.table.frequency), np.inf)
+        return np.where(np.isfinite(found), found, np.inf)
 
     def cost(self, coordinates: Array) -> float:
         """Return the sum of squared errors; infinite where there is no such robot at rest."""
         return float((self.errors(coordinates) ** 2).sum())
 
-    def slopes(self, coordinates: Array) -> Array:
-        """Return the derivatives of the errors, shape (m, k)."""
-        key = coordinates.tobytes()
-        if self._slopes[0] != key:
-            here = self.errors(coordinates)
-            ends = coordinates + DERIVATIVE_STEP * np.eye(len(coordinates))  # bounds lie below
-            change = np.array([self.errors(end) - here for end in ends]) / DERIVATIVE_STEP
-            self._slopes = key, change.T
-        return self._slopes[1]
+    def about(self, coordinates: Array) -> Quadratic:
+        """Return the cost about coordinates, of errors that change linearly.
 
-    def information(self, coordinates: Array) -> Array:
-        """Return the information that they add, shape (k, k)."""
-        slopes = self.slopes(coordinates)
-        return np.asarray(slopes.T @ slopes)
-
-    def gradient(self, coordinates: Array) -> Array:
-        """Return half the derivative of the cost, shape (k,)."""
-        return np.asarray(self.slopes(coordinates).T @ self.errors(coordinates))
+        Raises:
+            CarosacError: The robot does not hang at rest there, or beside it.
+        """
+        here = self.errors(coordinates)
+        ends = coordinates + DERIVATIVE_STEP * np.eye(len(coordinates))  # bounds lie below
+        slopes = np.array([self.errors(end) - here for end in ends]).T / DERIVATIVE_STEP
+        if not np.isfinite(slopes).all():
+            lost = self.table.rows[int(np.flatnonzero(~np.isfinite(slopes).all(axis=1))[0])]
+            raise CarosacError(
+                f"identification: the robot that is searched no longer hangs on the lengths of "
+                f"frequencies, {lost}"
+            )
+        return Quadratic(
+            cost=float(here @ here), gradient=slopes.T @ here, information=slopes.T @ slopes
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,16 +258,21 @@ class ComparedFrequencies:
         table: As measured, m of them.
         before: Of the robot as it was known [Hz], shape (m,).
         after: Of the identified robot [Hz], shape (m,).
+        changed: Rows with a shape that is most like another mode of the identified robot.
     """
 
     table: FrequencyTable
     before: Array
     after: Array
+    changed: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, table: FrequencyTable, before: Robot, after: Robot) -> ComparedFrequencies:
-        """Compare with two robots."""
-        return cls(table=table, before=table.modelled(before), after=table.modelled(after))
+        """Compare with two robots a table whose shapes were matched."""
+        return cls(
+            table=table, before=table.modelled(before), after=table.modelled(after),
+            changed=tuple(table.changed(after)),
+        )  # fmt: skip
 
     @property
     def off(self) -> Array:
@@ -226,20 +297,30 @@ class ComparedFrequencies:
                 f"measured, {abs(self.off[k]):.1f} sigmas from {self.after[k]:.4g} Hz of the "
                 "identified robot; is it of another mode, or of other lengths?"
             )
+        for row in self.changed:
+            yield (
+                f"frequencies, {self.table.rows[row]}: of the identified robot its shape is most "
+                f"like another mode than {self.table.mode[row]}, which was fitted; identify again, "
+                "from the identified robot"
+            )
 
     def rows(self) -> Rows:
-        """Return a table for people, under `HEADER`."""
+        """Return a table for people, under `FREQUENCY_HEADER`."""
         return [
-            (name, f"{measured:.4g}", f"{sigma:.2g}", f"{old:.4g}", f"{new:.4g}", f"{off:.1f}")
-            for name, measured, sigma, old, new, off in zip(
-                self.table.rows, self.table.frequency, self.table.sigma, self.before, self.after,
-                self.off, strict=True,
+            (
+                name, str(mode), f"{measured:.4g}", f"{sigma:.2g}", f"{old:.4g}", f"{new:.4g}",
+                f"{off:.1f}",
+            )
+            for name, mode, measured, sigma, old, new, off in zip(
+                self.table.rows, self.table.mode, self.table.frequency, self.table.sigma,
+                self.before, self.after, self.off, strict=True,
             )
         ]  # fmt: skip
 
     def data(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON."""
         return {
+            "mode": self.table.mode,
             "measured_Hz": self.table.frequency,
             "sigma_Hz": self.table.sigma,
             "before_Hz": self.before,
@@ -247,7 +328,9 @@ class ComparedFrequencies:
         }
 
 
-HEADER = ("measured", "[Hz]", "sigma [Hz]", "before [Hz]", "after [Hz]", "off [sigmas]")
+FREQUENCY_HEADER = (
+    "row", "mode", "measured [Hz]", "sigma [Hz]", "before [Hz]", "after [Hz]", "off [sigmas]",
+)  # fmt: skip
 
 
 def load_frequencies(path: str | Path, robot: Robot) -> FrequencyTable:
@@ -292,11 +375,10 @@ def load_frequencies(path: str | Path, robot: Robot) -> FrequencyTable:
         )
     shape = np.stack([columns[name] for name in SHAPE_COLUMNS], axis=1)
     mode = columns["mode"]
-    shaped = (np.nan_to_num(shape, nan=0.0) != 0.0).any(axis=1) & ~np.isinf(shape).any(axis=1)
-    for k, (place, has_shape) in enumerate(zip(mode, shaped, strict=True)):
-        if not (has_shape if np.isnan(place) else place in range(1, MODES + 1)):
+    for k, place in enumerate(mode):
+        if not _says_which(float(place), shape[k]):
             got = "neither" if np.isnan(place) else f"mode {place:g}"
-            faults.add([f"{names[k]}: got {got}; allowed: a mode from 1 to {MODES}, or a shape"])
+            faults.add([f"{names[k]}: got {got}; allowed: {MODE_ALLOWED}"])
     faults.check(file)
     return FrequencyTable(
         reading=np.stack([columns[name] for name in lengths], axis=1),

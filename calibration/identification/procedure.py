@@ -185,12 +185,19 @@ def _chosen(
     group[: len(found.estimate.names)] = [group_of(name) for name in found.estimate.names]
     judged = found.folds.choose({name: group == name for name in candidates})
     held = [one.name for one in judged if not one.kept]
-    if held:
-        folds, settings = found.folds, whole.without(held)
-        without = _identify(parts, robot, settings, report, frequencies, folds.noise)
-        judged = folds.verified(without.folds, judged)
-        found = found if all(one.kept for one in judged) else without
-    return replace(found, candidates=judged)
+    if not held:
+        return replace(found, candidates=judged)
+    folds, settings = found.folds, whole.without(held)
+    without = _identify(parts, robot, settings, report, frequencies, folds.noise)
+    judged = folds.verified(without.folds, judged)
+    if all(one.kept for one in judged):
+        return replace(found, candidates=judged)
+    doubts = [
+        f"candidates were judged by a fit with all of them, of which: {line}"
+        for line in found.warnings
+        if line not in without.warnings
+    ]
+    return replace(without, candidates=judged, warnings=(*without.warnings, *doubts))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,7 +246,7 @@ def _identify(
 ) -> Identification:
     """Identify a robot from parts of recordings, first those that are fitted."""
     if frequencies is not None:
-        frequencies.check(robot)
+        frequencies = frequencies.matched(robot)
     chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
     poses = [_check(part, robot) for part in parts]
     _check_motion(robot, parts, poses)

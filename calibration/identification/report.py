@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.identification.frequencies import HEADER
+from calibration.identification.frequencies import FREQUENCY_HEADER
 from calibration.identification.pictures import draw_motion, draw_rests, draw_runs
 from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
@@ -79,7 +79,7 @@ def report_content(
         left = f"<h2>What the remaining error looks like</h2>{EFFECTS_TEXT}{shares}"
     found, frequencies = result.frequencies, ""
     if found is not None:
-        frequencies = "<h2>Natural frequencies</h2>" + table(HEADER, found.rows(), left=1)
+        frequencies = "<h2>Natural frequencies</h2>" + table(FREQUENCY_HEADER, found.rows(), left=1)
     parts = [
         scores,
         frequencies,

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 import carosac_toolkit as ct
-from calibration.identification.cross_validation import Fold, Folds
+from calibration.identification.cross_validation import Folds
 from calibration.identification.error_noise import PoseErrorNoise
 from calibration.identification.procedure import identify
+from calibration.identification.quadratic import Quadratic
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from carosac_toolkit.base.errors import InvalidField
@@ -47,12 +49,12 @@ class Regression:
         off = self.slopes @ at - self.data
         return Folds(
             parts=[
-                Fold(cost=float(e @ e), gradient=s.T @ e, information=s.T @ s)
+                Quadratic(cost=float(e @ e), gradient=s.T @ e, information=s.T @ s)
                 for s, e in zip(self.slopes, off, strict=True)
             ],
-            known=Fold(cost=0.0, gradient=self.precision @ at, information=self.precision),
+            known=Quadratic(cost=0.0, gradient=self.precision @ at, information=self.precision),
             at=at,
-            fixed=np.zeros(6, dtype=bool),
+            lower=np.full(6, -np.inf),
             noise=PoseErrorNoise(sigma=np.ones(6), repeats=np.ones(6)),
             places=tuple(range(12)),
         )
@@ -105,12 +107,27 @@ def test_words_say_what_was_found():
     assert tried["true"].gain > tried["true"].error > 0.0
 
 
-def test_a_coordinate_at_its_bound_stays_there():
-    folds = Regression(0).folds()
-    bound = replace(folds, fixed=mask(5))
-    free = folds.held_out(mask())
-    assert not np.allclose(bound.held_out(mask()), free)
-    assert bound.held_out(mask(5)) == pytest.approx(folds.held_out(mask(5)))
+def test_coordinates_stay_within_their_bounds_in_each_fit():
+    model = Regression(0)
+    folds = replace(model.folds(), lower=np.array([-np.inf] * 3 + [0.5, 0.0, 0.0]))
+    folds = replace(folds, at=np.maximum(folds.at, folds.lower))
+    change = folds.at - model.folds().at  # to the bounds, where the cost is the same parabola
+    about = [
+        Quadratic(
+            cost=part.at(change),
+            gradient=part.gradient + part.information @ change,
+            information=part.information,
+        )
+        for part in [folds.known, *folds.parts]
+    ]
+    folds = replace(folds, known=about[0], parts=about[1:])
+    for part, cost in enumerate(folds.held_out(mask())):
+        rows = np.delete(np.arange(12), part)
+        slopes = np.concatenate([model.slopes[rows].reshape(-1, 6), np.eye(6)])
+        data = np.concatenate([model.data[rows].ravel(), np.zeros(6)])
+        found = lsq_linear(slopes, data, bounds=(folds.lower, np.inf), tol=1e-13).x
+        off = model.slopes[part] @ found - model.data[part]
+        assert cost == pytest.approx(off @ off, rel=1e-4)
 
 
 @pytest.fixture(scope="module")

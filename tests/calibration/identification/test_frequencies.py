@@ -9,6 +9,7 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.frequencies import (
+    ComparedFrequencies,
     FrequencyTable,
     KnownFrequencies,
     load_frequencies,
@@ -18,6 +19,7 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_modes
 from carosac_toolkit.recordings.encoders import readings
@@ -81,7 +83,9 @@ def test_a_shape_finds_its_mode_whatever_its_size_and_sign(plant):
     rng = np.random.default_rng(0)
     size = rng.uniform(0.1, 10.0, (18, 1)) * rng.choice([-1.0, 1.0], (18, 1))
     rough = size * shape * (1.0 + 0.05 * rng.standard_normal(shape.shape))
-    assert by_shape(table, rough).modelled(plant) == pytest.approx(table.modelled(plant))
+    assert by_shape(table, rough).matched(plant).modelled(plant) == pytest.approx(
+        table.modelled(plant)
+    )
 
 
 def test_a_part_of_a_shape_will_do(plant):
@@ -89,29 +93,30 @@ def test_a_part_of_a_shape_will_do(plant):
     rest = statics.forward_kinematics(plant, table.reading)
     shape = natural_modes(plant, rest).shape[np.arange(9), :, table.mode - 1]
     shape[:, 2:] = np.nan  # a total station that sees x and y alone
-    found = by_shape(table, shape).modelled(plant)
+    found = by_shape(table, shape).matched(plant).modelled(plant)
     off = np.abs(found / table.modelled(plant) - 1.0)
     assert (off[table.mode <= 2] < 1e-9).all()  # its two swings; the third is a turn
 
 
 def test_the_gradient_is_half_the_slope_of_the_cost(robot, plant):
     unknowns = choose_coordinates(robot, FEW)
-    known = KnownFrequencies(measured(plant), unknowns)
+    known = KnownFrequencies(table=measured(plant), unknowns=unknowns)
     at = 0.1 * np.random.default_rng(1).standard_normal(len(unknowns.prior.names))
     step = 1e-3
     slope = [
         (known.cost(at + step * way) - known.cost(at - step * way)) / (4.0 * step)
         for way in np.eye(len(at))
     ]
-    gradient = known.gradient(at)
+    gradient = known.about(at).gradient
+    assert known.about(at).cost == pytest.approx(known.cost(at))
     assert gradient == pytest.approx(np.array(slope), abs=1e-3 * np.abs(gradient).max())
 
 
 def test_frequencies_do_not_tell_what_all_forces_and_masses_have_in_common(robot, plant):
     unknowns = choose_coordinates(robot, IdentificationSettings())
-    known = KnownFrequencies(measured(plant), unknowns)
+    known = KnownFrequencies(table=measured(plant), unknowns=unknowns)
     line = unknowns.alike / np.linalg.norm(unknowns.alike)
-    information = known.information(np.zeros(len(line)))
+    information = known.about(np.zeros(len(line))).information
     assert line @ information @ line < 1e-6 * np.linalg.eigvalsh(information)[-1]
 
 
@@ -152,7 +157,7 @@ def test_the_estimate_is_where_recording_and_frequencies_pull_alike(found):
     folds = found[1].folds
     parts = [folds.known, *folds.parts]
     pull, information = sum(each.gradient for each in parts), sum(e.information for e in parts)
-    free = ~folds.fixed
+    free = folds.at > folds.lower
     left = pull[free] @ np.linalg.solve(information[np.ix_(free, free)], pull[free])
     assert left < 0.1 * free.sum()
     as_prior = (folds.known.information @ folds.at - folds.known.gradient)[free]  # about 0
@@ -178,13 +183,75 @@ def test_a_frequency_of_another_mode_is_warned_of(found):
     [
         (lambda table: replace(table, frequency=2.0 * np.pi * table.frequency), "factor of 3"),
         (lambda table: replace(table, reading=0.2 * table.reading), "where it is 17"),
-        (lambda table: replace(table, reading=-table.reading), "does not hang"),
         (lambda table: replace(table, reading=table.reading[:, :3]), "lengths of 3 cables"),
     ],
 )
 def test_what_cannot_be_of_this_robot_is_refused(robot, plant, change, words):
     with pytest.raises(InvalidField, match=words):
-        change(measured(plant)).check(robot)
+        change(measured(plant)).matched(robot)
+
+
+def test_lengths_on_which_it_does_not_hang_are_refused(robot, plant):
+    far = replace(robot, length_offset=np.full(4, 20.0))
+    with pytest.raises(InvalidField, match="row 1, row 2, row 3: lengths on which robot 'carosac'"):
+        measured(plant).matched(far)
+
+
+def test_a_shape_that_may_be_of_several_modes_is_refused(robot, plant):
+    """Unless these are of one frequency."""
+    table = measured(plant)
+    rest = statics.forward_kinematics(plant, table.reading)
+    shape = natural_modes(plant, rest).shape[np.arange(9)]
+    moves = shape * np.repeat([1.0, lever(plant)], 3)[:, None]
+    unit = shape / np.linalg.norm(moves, axis=1, keepdims=True)
+    between = replace(table, frequency=np.full(9, 0.8))  # [Hz]
+    mixed = by_shape(between, unit[:, :, 0] + unit[:, :, 1])
+    with pytest.raises(InvalidField, match=r"row 1: a shape as much like mode \d, .* Hz, as mode"):
+        mixed.matched(robot)
+    rough = replace(mixed, sigma=np.full(9, 0.5))
+    assert set(rough.matched(robot).mode) <= {1, 2}
+
+
+def test_what_a_mode_does_beside_what_was_measured_counts(plant):
+    """All modes move along x, and one of them mostly does."""
+    table = measured(plant)
+    swing = np.full((9, 6), np.nan)
+    swing[:, 0] = -0.3
+    slowest = table.frequency[0]
+    table = replace(table, frequency=np.full(9, slowest), sigma=np.full(9, SHARE * slowest))
+    assert (by_shape(table, swing).matched(plant).mode == 1).all()
+
+
+def test_a_shape_keeps_its_mode_and_a_change_of_it_is_warned_of(robot, plant):
+    table = measured(plant)
+    rest = statics.forward_kinematics(plant, table.reading)
+    shape = natural_modes(plant, rest).shape[np.arange(9), :, table.mode - 1]
+    matched = by_shape(table, shape).matched(plant)
+    assert ComparedFrequencies.of(matched, robot, plant).changed == ()
+    other = replace(matched, mode=np.where(np.arange(9) == 4, 1, matched.mode))
+    warnings = list(ComparedFrequencies.of(other, robot, plant).warnings())
+    assert "row 5: of the identified robot its shape is most like another mode" in warnings[-1]
+
+
+def test_a_shape_without_a_mode_has_no_frequency_yet(plant):
+    with pytest.raises(InvalidField, match="mode, row 1: got 0"):
+        by_shape(measured(plant), np.ones((9, 6))).modelled(plant)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sigma": np.zeros(9)}, "sigma, row 1: got .0.*> 0, finite"),
+        ({"frequency": np.full(9, np.nan)}, "frequency, row 1: got .nan"),
+        ({"mode": np.full(9, 7)}, "mode, row 1: got 7; allowed: a mode from 1 to 6, or a shape"),
+        ({"mode": np.zeros(9, int)}, "mode, row 1: got 0"),
+        ({"mode": np.ones(8, int)}, r"mode: got shape \(8,\)"),
+        ({"reading": np.ones(9)}, r"reading: got shape \(9,\)"),
+    ],
+)
+def test_what_is_no_table_is_refused(plant, change, words):
+    with pytest.raises(InvalidField, match=words):
+        replace(measured(plant), **change)
 
 
 LENGTHS = ",".join(f"unstrained_length_{k:02d}_m" for k in range(1, 5))

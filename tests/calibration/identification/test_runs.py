@@ -141,7 +141,7 @@ def near(plant, runs):
     rough, fine = (fitter._slopes(at, searched, fitter._time_step, refined=r) for r in (1, 2))
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
-    information, _ = fitter._normal(at, errors, exact, noise)
+    information, _ = fitter._normal(errors, exact, noise)
     wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough)
     return fitter, at, errors, noise, wide, information
 
@@ -152,7 +152,7 @@ def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near,
     fitter, at, errors, noise, _, information = near
     hessian = information + fitter._precision
     taken = fitter._taken_wide(at, hessian)
-    again, _ = fitter._normal(at, errors, taken.exact, noise)
+    again, _ = fitter._normal(errors, taken.exact, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     own = np.arange(len(at)) != fitter._mass
     known, found = (
@@ -252,10 +252,10 @@ def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
 
     def doubt(wide):
         monkeypatch.setattr(fitter, "_doubts", None)
-        believed, _ = fitter._normal(at, errors, wide.jacobians, noise)
+        believed, _ = fitter._normal(errors, wide.jacobians, noise)
         doubts = fitter._doubted(wide, errors, wide.jacobians, noise)
         monkeypatch.setattr(fitter, "_doubts", doubts)
-        return believed, *fitter._normal(at, errors, wide.jacobians, noise)
+        return believed, *fitter._normal(errors, wide.jacobians, noise)
 
     believed, doubted, _ = doubt(alike)
     assert doubted == pytest.approx(believed, abs=1e-9 * np.abs(believed).max())
@@ -266,6 +266,7 @@ def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
     assert not np.delete(np.delete(lost, own, 0), own, 1).any()  # starts of others
     assert lost[inertia, inertia] > 1.0  # more than was known before
     jacobians = differing.jacobians
+    gradient = gradient + fitter._known_about(at).gradient
     step = 1e-3 * np.linalg.solve(doubted + fitter._precision, gradient)
     behind, ahead = (
         fitter._cost(

@@ -1,0 +1,54 @@
+"""A quadratic cost of coordinates: where it is least, within bounds or beside other coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Quadratic:
+    """A cost c + 2 g^T d + d^T A d, where p coordinates change by d.
+
+    Attributes:
+        cost: c.
+        gradient: g, shape (p,).
+        information: A, shape (p, p).
+    """
+
+    cost: float
+    gradient: Array
+    information: Array
+
+    def at(self, change: Array) -> float:
+        """Return the cost after a change (p,)."""
+        return float(self.cost + (2.0 * self.gradient + self.information @ change) @ change)
+
+    def least_beside(self, count: int) -> Quadratic:
+        """Return the cost of the first coordinates alone, where the others are at their best."""
+        own, other = slice(count), slice(count, None)
+        cross, pull = self.information[own, other], self.gradient[other]
+        follow = np.linalg.solve(self.information[other, other], np.column_stack([pull, cross.T]))
+        return Quadratic(
+            cost=float(self.cost - pull @ follow[:, 0]),
+            gradient=self.gradient[own] - cross @ follow[:, 0],
+            information=self.information[own, own] - cross @ follow[:, 1:],
+        )
+
+    def least_within(self, lower: Array) -> Array:
+        """Return the change (p,) to where it is least; none is below `lower` (p,), itself <= 0.
+
+        A must be positive definite.
+        """
+        from scipy.optimize import lsq_linear
+
+        change = np.asarray(-np.linalg.solve(self.information, self.gradient), float)
+        if (change >= lower).all():
+            return change
+        root = np.linalg.cholesky(self.information)  # d^T A d = |root^T d|^2
+        pull = np.linalg.solve(root, -self.gradient)
+        found = lsq_linear(root.T, pull, bounds=(lower, np.inf), method="bvls")
+        return np.asarray(found.x, float)
