@@ -68,8 +68,12 @@ SWAY_STRETCHES = (0.3, 1.0, 2.0)
 # Shares of steps of a start alone, and how much they are damped, of the Hessian's diagonal; the
 # best is taken. Two modes that sway nearly alike are hard to tell apart at first.
 START_TRIES = ((1.0, 0.0), (0.4, 0.0), (1.0, 0.01), (1.0, 0.1))
+# The same where starts alone are searched, from first guesses that may be far off.
+GUESS_TRIES = (*START_TRIES, (1.0, 1.0), (1.0, 10.0))
 FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may leave it
-LOST_COST_RATIO = 5.0  # of a typical run's: one that costs more starts anew
+# Of a typical run's cost: one that costs more starts anew, on the way and where a search has led
+# near. Chance alone leads to 1.5.
+LOST_COST_RATIO, LOST_NEAR_RATIO = 5.0, 2.0
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -342,6 +346,7 @@ class Fitter:
                 break
             if ended or count == ROUGH_STEPS_MAX:
                 if rough:
+                    at, errors = self._found_again(at, errors, noise, near=True)
                     self._leave_out(at, errors)
                     information, _ = self._normal(errors, jacobians, noise)
                     hessian = information + self._precision
@@ -855,21 +860,31 @@ class Fitter:
         for _ in range(STARTS_STEPS_MAX):
             noise = self._noise(errors)
             before = self._cost(at, errors, noise)
-            at, errors = self._restarted(at, errors, noise)
+            at, errors = self._restarted(at, errors, noise, GUESS_TRIES)
             if before - self._cost(at, errors, noise) <= least:
                 break
         return at
 
     def _found_again(
-        self, at: Array, errors: list[Array], noise: PoseErrorNoise
+        self, at: Array, errors: list[Array], noise: PoseErrorNoise, *, near: bool = False
     ) -> tuple[Array, list[Array]]:
-        """Start runs anew, from their first guesses, that beside the others are far off."""
+        """Start runs anew, from their first guesses, that beside the others are far off.
+
+        Args:
+            at: All coordinates.
+            errors: Of each run there (K, 6).
+            noise: Of these.
+            near: True where the search has led near to the robot, with all poses.
+        """
         costs = [noise.cost(each) / each.size for each in errors]
-        lost = [k for k, cost in enumerate(costs) if cost > LOST_COST_RATIO * np.median(costs)]
+        most = (LOST_NEAR_RATIO if near else LOST_COST_RATIO) * np.median(costs)
+        lost = [k for k, cost in enumerate(costs) if cost > most]
         if not lost:
             return at, errors
         new = at.copy()
-        for k, start in zip(lost, self._anew(at, lost), strict=True):
+        fitter = self._beside(at, [self._runs[k] for k in lost])
+        starts = fitter.starts() if near else fitter._starts(fitter._suited(fitter._first))
+        for k, start in zip(lost, starts, strict=True):
             new[self._own[k][self._count :]] = start
         found = self._errors_at(new)
         point = at.copy()
@@ -879,17 +894,16 @@ class Fitter:
                 point[rows] = new[rows]
         return point, self._errors_at(point)
 
-    def _anew(self, at: Array, which: Sequence[int]) -> tuple[Array, ...]:
-        """Return starts that suit the robot of some runs, found from their first guesses."""
-        fitter = self._beside(at, [self._runs[k] for k in which])
-        return fitter._starts(fitter._suited(fitter._first))
-
     def _beside(self, at: Array, runs: Sequence[FittedRun]) -> Fitter:
         """Return a search for the starts of some runs beside the robot of coordinates."""
         return Fitter(self._unknowns, runs, self._settings, robot_at=at[: self._count])
 
     def _restarted(
-        self, at: Array, errors: list[Array], noise: PoseErrorNoise
+        self,
+        at: Array,
+        errors: list[Array],
+        noise: PoseErrorNoise,
+        tries: Sequence[tuple[float, float]] = START_TRIES,
     ) -> tuple[Array, list[Array]]:
         """Let each run start as suits the robot where a step led, if that lowers its cost.
 
@@ -898,11 +912,11 @@ class Fitter:
         """
         jacobians = self._jacobians(at, coarse=True, starts=True)
         own = [rows[self._count :] for rows in self._own]
-        trial = np.tile(at, (len(START_TRIES), 1))
+        trial = np.tile(at, (len(tries), 1))
         for k in self._kept:
             slopes = jacobians[k][:, :, self._count :]
             fold = self._with_start(k, at, self._fold(k, noise, errors[k], slopes))
-            steps = _tries(fold.information, fold.gradient)
+            steps = _tries(fold.information, fold.gradient, tries)
             trial[:, own[k]] += np.array(steps).reshape(len(trial), len(own[k]))
         trials, good = self._trials(trial)
         point, found = at.copy(), list(errors)
@@ -964,12 +978,14 @@ class Fitter:
         return np.asarray(np.maximum(moved, self._lower))
 
 
-def _tries(hessian: Array, gradient: Array) -> list[Array]:
+def _tries(
+    hessian: Array, gradient: Array, tries: Sequence[tuple[float, float]] = START_TRIES
+) -> list[Array]:
     """Return steps (p,) of a start to try."""
     diagonal = np.diag(np.diag(hessian))
     return [
         np.asarray(-share * np.linalg.solve(hessian + damping * diagonal, gradient), float)
-        for share, damping in START_TRIES
+        for share, damping in tries
     ]
 
 

@@ -32,6 +32,7 @@ from calibration.identification.result import (
 )
 from calibration.identification.runs import (
     FittedRun,
+    averaged_rate,
     fastest_sway,
     is_locked,
     leading_time,
@@ -419,8 +420,10 @@ def _prepare(
         ),
         default=0.0,
     )  # the same for all: recordings that are sampled alike are simulated together
+    averaged = [window for window in windows if window]
+    rate = averaged_rate(averaged) if averaged else np.inf
     return [
-        _prepared(part, robot, each, settings, path, rest, window, early)
+        _prepared(part, robot, each, settings, path, rest, window, early, rate)
         for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
     ]
 
@@ -434,11 +437,13 @@ def _prepared(
     rest: Equilibrium,
     window: float,
     early: float,
+    rate: float,
 ) -> _Run:
     """Find how a recording begins, and what of it a fit sees, averaged over a window [s].
 
     If winches are locked until vibrations have died out, it begins `early` seconds before that.
-    Poses lead the search from then on, and a while later they count.
+    Poses, of which no more than `rate` [Hz] are averaged, lead the search from then on, and a while
+    later they count.
     """
     before = left_out = leading = 0.0
     if window:
@@ -455,7 +460,7 @@ def _prepared(
     sway = find_sway(robot, rest, poses, moves=first.moves, before=before)
     fitted = FittedRun(
         path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
-        window=window, leading=leading,
+        window=window, leading=leading, averaged_rate=rate,
     )  # fmt: skip
     return _Run(part=part, poses=poses, left_out=left_out, first=first, fitted=fitted)
 

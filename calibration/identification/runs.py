@@ -27,7 +27,7 @@ WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 WINDOW_PERIODS = 4.0  # of the slowest vibration, from where it leaves so little
 SLOW_PERIODS_MAX = 2.0  # of the fastest sway in a window, which leaves nearly half of it
 WINDOW_POSES_MIN = 8  # poses in a window
-WINDOW_POSES_MAX = 50
+WINDOW_POSES_MAX = 50  # in the shortest of all windows
 # Degree of polynomials that follow a sway within a window to a thousandth, and no vibration: of a
 # sway that lasts, and for each of its periods.
 SWAY_DEGREE, SWAY_DEGREE_PER_PERIOD = 3, 4
@@ -55,6 +55,8 @@ class FittedRun:
         sway: Unknown motion at the start.
         window: Time over which errors are averaged [s]; 0: none.
         leading: Time at first whose poses lead the search, and do not count at its end [s].
+        averaged_rate: Of poses that are averaged, at most [Hz]. One for all runs, as else poses of
+            one would count for more than those of another.
     """
 
     path: LengthPath
@@ -63,6 +65,7 @@ class FittedRun:
     sway: FreeSway
     window: float = 0.0
     leading: float = 0.0
+    averaged_rate: float = math.inf
 
     @property
     def begin(self) -> float:
@@ -80,7 +83,7 @@ class FittedRun:
         span = time - time[0]
         rows = np.flatnonzero((span >= leading) & (span <= share * span[-1]))
         poses = self.poses.rows(rows)
-        rate = WINDOW_POSES_MAX / self.window if self.window else self.rate / share
+        rate = self.averaged_rate if self.window else self.rate / share
         return replace(self, poses=poses.thinned(rate), leading=self.leading - leading)
 
     def seen(self, errors: Array) -> Array:
@@ -153,6 +156,11 @@ def windows_by(
     ]
     lost = any(old and not new for old, new in zip(windows, found, strict=True))
     return list(windows) if lost else found
+
+
+def averaged_rate(windows: Sequence[float]) -> float:
+    """Return the rate [Hz] of poses that are averaged over windows [s], none of which is 0."""
+    return WINDOW_POSES_MAX / min(windows)
 
 
 def fastest_sway(robot: Robot, rest: Equilibrium) -> float:

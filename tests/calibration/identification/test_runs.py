@@ -26,6 +26,7 @@ from calibration.identification.open_loop import (
 )
 from calibration.identification.runs import (
     FittedRun,
+    averaged_rate,
     is_locked,
     leading_time,
     slow_window,
@@ -296,6 +297,28 @@ def test_a_lost_start_is_found_again(plant, runs):
     assert (found[others] == lost[others]).all()
 
 
+def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs):
+    """A second solution that costs a few times as much would bias the robot."""
+    fitter = fitter_of(plant, runs)
+    at = fitter._suited(fitter._first)
+    noise = estimate_noise(fitter._errors_at(at))
+    own = fitter._own[4][fitter._count :]
+
+    def off(share):
+        point = at.copy()
+        point[own] += share * np.array([0.0, -3.0, 1.0, 2.0, 0.0, 1.0])
+        errors = fitter._errors_at(point)
+        costs = [noise.cost(each) / each.size for each in errors]
+        return point, errors, costs[4] / np.median(costs)
+
+    share = next(share for share in 1e-3 * 1.1 ** np.arange(100) if off(share)[2] > 3.0)
+    lost, errors, ratio = off(share)
+    assert ratio < fit.LOST_COST_RATIO
+    assert (fitter._found_again(lost, errors, noise)[0] == lost).all()
+    _, found = fitter._found_again(lost, errors, noise, near=True)
+    assert noise.cost(found[4]) < 0.5 * noise.cost(errors[4])
+
+
 def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch):
     fitter = fitter_of(plant, runs)
     at, simulated = fitter._first, fitter._simulated
@@ -387,9 +410,24 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
 
 
 def test_many_poses_are_thinned(runs):
-    run = runs[0]
-    dense = replace(run, window=100.0 * run.window)
-    assert len(dense.first(1.0).poses.time) < len(run.first(1.0).poses.time)
+    run = replace(runs[0], averaged_rate=averaged_rate([100.0 * runs[0].window]))
+    assert len(run.first(1.0).poses.time) < len(runs[0].first(1.0).poses.time)
+
+
+def test_poses_of_all_runs_count_alike_whatever_their_windows(runs):
+    """Rates of 96 and 104 Hz would thin poses of 100 Hz in one run and not in the other."""
+    pose = runs[0].poses.rows(np.zeros(2000, dtype=int))
+    pose = replace(pose, time=0.01 * np.arange(2000))
+    noise = np.random.default_rng(0).standard_normal((2000, 6))
+    windows = [0.48, 0.52]
+    rate = averaged_rate(windows)
+    scatter = []
+    for window in windows:
+        run = replace(runs[0], poses=pose, window=window, leading=0.0, averaged_rate=rate)
+        fitted = run.first(1.0)
+        own = noise[np.searchsorted(pose.time, fitted.poses.time)]
+        scatter.append(fitted.seen(own).var())
+    assert scatter[0] / scatter[1] == pytest.approx(windows[1] / windows[0], rel=0.25)
 
 
 def test_a_robot_that_cannot_hang_is_failed_and_nothing_else(plant, runs):
