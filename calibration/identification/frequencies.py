@@ -15,7 +15,7 @@ shape              ``shape_x_m`` y z of the platform origin in W, ``shape_roll_r
 
 Of a shape the frequency is that of the mode of the robot as known before which is most alike
 (modal assurance criterion, over all that the mode moves: one that mostly does something else than
-what was measured is not alike). It is chosen once, so that a fit is of the same modes throughout.
+what was measured is not alike). It is chosen once, and counts by its place among the frequencies.
 A damped sway is slower than an undamped one by half the square of its damping ratio; that is left
 out of account.
 
@@ -69,7 +69,8 @@ class FrequencyTable:
         reading: Of the lengths, as of the recordings [m], > 0, shape (m, n).
         frequency: [Hz], > 0, shape (m,).
         sigma: One standard deviation of each [Hz], > 0, shape (m,).
-        mode: Its place, from 1 for the slowest to 6; 0: that of the shape, shape (m,).
+        mode: Its place, from 1 for the slowest to 6; 0: that of the shape, shape (m,). With a shape
+            as well, both have to agree.
         shape: Twists (linear, angular, in W at the platform origin), of any size; NaN: not
             measured, shape (m, 6).
         rows: Names of the rows, for messages.
@@ -88,6 +89,10 @@ class FrequencyTable:
     def __post_init__(self) -> None:
         """Refuse what is no table of frequencies."""
         count = len(self.rows)
+        if not count:
+            raise InvalidField("rows", "none", "one for each measured frequency")
+        if not np.issubdtype(np.asarray(self.mode).dtype, np.integer):
+            raise InvalidField("mode", f"type {np.asarray(self.mode).dtype}", "integers")
         for name, size in (("frequency", ()), ("sigma", ()), ("mode", ()), ("shape", (MODES,))):
             got = np.shape(getattr(self, name))
             if got != (count, *size):
@@ -156,27 +161,53 @@ class FrequencyTable:
         near = np.abs(ratio) <= np.log(RATIO_MAX)
         alike = self._likeness(modes.shape, lever(robot))
         likely = np.where(near | ~near.any(axis=1, keepdims=True), alike, 0.0)
-        place = np.where(self.mode == 0, likely.argmax(axis=1) + 1, self.mode)
+        matched = replace(self, mode=np.where(self.mode == 0, likely.argmax(axis=1) + 1, self.mode))
+        rival = matched._more_alike(alike, modes.frequency)
+        # A rival of a shape alone is of no near mode, and tells which frequency was to be expected.
+        place = np.where((rival > 0) & (self.mode == 0), rival, matched.mode)
         row = np.arange(len(place))
         found = modes.frequency[row, place - 1]
-        for k in np.flatnonzero(self.mode == 0):
-            self._check_likeness(int(k), likely[k], modes.frequency[k], name)
         for k in np.flatnonzero(~near[row, place - 1])[:1]:
             got = f"{self.rows[k]}: {self.frequency[k]:.4g} Hz, where it is {found[k]:.4g} Hz"
             allowed = f"natural frequencies of robot {robot.name!r} [Hz], within a factor of 3"
             raise InvalidField(name, got, allowed)
-        return replace(self, mode=place)
+        for k in np.flatnonzero(self.mode == 0):
+            matched._check_likeness(int(k), likely[k], modes.frequency[k], name)
+        for k in np.flatnonzero(rival)[:1]:
+            got = f"{self.rows[k]}: mode {self.mode[k]} with a shape most like mode {rival[k]}"
+            raise InvalidField(name, got, "a mode and its own shape, or one of both")
+        return matched
 
     def _check_likeness(self, k: int, alike: Array, frequency: Array, name: str) -> None:
-        """Refuse a shape that is about as much like a second mode (6,) of another frequency."""
-        first, second = np.argsort(-alike)[:2]
-        apart = abs(frequency[first] - frequency[second]) > AMBIGUOUS_SIGMAS * self.sigma[k]
-        if apart and alike[second] > AMBIGUOUS_RATIO * alike[first]:
+        """Refuse a shape that is about as much like another mode (6,) of another frequency."""
+        first = self.mode[k] - 1
+        others = np.where(self._apart(k, frequency), alike, 0.0)
+        second = int(others.argmax())
+        if others[second] > AMBIGUOUS_RATIO * alike[first]:
             got = (
                 f"{self.rows[k]}: a shape as much like mode {first + 1}, {frequency[first]:.4g} "
                 f"Hz, as mode {second + 1}, {frequency[second]:.4g} Hz"
             )
             raise InvalidField(name, got, "more of the shape, or the mode by its number")
+
+    def _apart(self, k: int, frequency: Array) -> NDArray[np.bool_]:
+        """Say which modes (6,) are of another frequency than the one taken, as far as it counts."""
+        away = np.abs(frequency - frequency[self.mode[k] - 1])
+        return np.asarray(away > AMBIGUOUS_SIGMAS * self.sigma[k])
+
+    def _more_alike(self, alike: Array, frequency: Array) -> NDArray[np.int64]:
+        """Return modes that are clearly more like a shape than the one taken, (m,); 0: none.
+
+        Args:
+            alike: Each mode, from 0 to 1, shape (m, 6).
+            frequency: Of each [Hz], shape (m, 6).
+        """
+        found = np.zeros(len(self.mode), dtype=np.int64)
+        for k, (likeness, taken) in enumerate(zip(alike, self.mode - 1, strict=True)):
+            others = np.where(self._apart(k, frequency[k]), likeness, 0.0)
+            if likeness[taken] < AMBIGUOUS_RATIO * others.max():
+                found[k] = others.argmax() + 1
+        return found
 
     def _likeness(self, modes: Array, arm: float) -> Array:
         """Return how much each mode is like the shape of a row, from 0 to 1, shape (m, 6).
@@ -193,16 +224,18 @@ class FrequencyTable:
         return np.asarray(both / np.maximum(sizes, np.finfo(np.float64).tiny))
 
     def changed(self, robot: Robot) -> list[int]:
-        """Return the rows whose shape is most like another mode of a robot than was taken."""
-        shaped = (np.nan_to_num(self.shape, nan=0.0) != 0.0).any(axis=1)
-        place = self._likeness(self._modes(robot).shape, lever(robot)).argmax(axis=1) + 1
-        return [int(k) for k in np.flatnonzero(shaped & (place != self.mode))]
+        """Return the rows whose shape is clearly more like another mode of a robot."""
+        modes = self._modes(robot)
+        alike = self._likeness(modes.shape, lever(robot))
+        return [int(k) for k in np.flatnonzero(self._more_alike(alike, modes.frequency))]
 
 
 def _says_which(place: float, shape: Array) -> bool:
     """Say whether a mode, or, without one (NaN), a shape (6,) says which frequency it is."""
+    if np.isinf(shape).any():
+        return False
     if np.isnan(place):
-        return bool(np.nan_to_num(shape, nan=0.0).any() and not np.isinf(shape).any())
+        return bool(np.nan_to_num(shape, nan=0.0).any())
     return place in range(1, MODES + 1)
 
 
@@ -221,9 +254,10 @@ class KnownFrequencies:
     def errors(self, coordinates: Array) -> Array:
         """Return errors in sigmas, shape (m,); infinite where there is no such robot at rest."""
         try:
-            found = self.table.errors(self.unknowns.robot_at(coordinates))
+            robot = self.unknowns.robot_at(coordinates)
         except InvalidField:
-            found = np.full(len(self.table.frequency), np.inf)
+            return np.full(len(self.table.frequency), np.inf)
+        found = self.table.errors(robot)
         return np.where(np.isfinite(found), found, np.inf)
 
     def cost(self, coordinates: Array) -> float:
@@ -236,15 +270,15 @@ class KnownFrequencies:
         Raises:
             CarosacError: The robot does not hang at rest there, or beside it.
         """
-        here = self.errors(coordinates)
-        ends = coordinates + DERIVATIVE_STEP * np.eye(len(coordinates))  # bounds lie below
-        slopes = np.array([self.errors(end) - here for end in ends]).T / DERIVATIVE_STEP
-        if not np.isfinite(slopes).all():
-            lost = self.table.rows[int(np.flatnonzero(~np.isfinite(slopes).all(axis=1))[0])]
+        points = coordinates + DERIVATIVE_STEP * np.eye(len(coordinates))  # bounds lie below
+        here, *ends = (self.errors(point) for point in (coordinates, *points))
+        lost = np.flatnonzero(~np.isfinite([here, *ends]).all(axis=0))
+        if len(lost):
             raise CarosacError(
-                f"identification: the robot that is searched no longer hangs on the lengths of "
-                f"frequencies, {lost}"
+                "identification: the robot that is searched no longer hangs on the lengths of "
+                f"frequencies, {self.table.rows[lost[0]]}"
             )
+        slopes = (np.array(ends) - here).T / DERIVATIVE_STEP
         return Quadratic(
             cost=float(here @ here), gradient=slopes.T @ here, information=slopes.T @ slopes
         )
@@ -378,6 +412,7 @@ def load_frequencies(path: str | Path, robot: Robot) -> FrequencyTable:
     for k, place in enumerate(mode):
         if not _says_which(float(place), shape[k]):
             got = "neither" if np.isnan(place) else f"mode {place:g}"
+            got = "an infinite shape" if np.isinf(shape[k]).any() else got
             faults.add([f"{names[k]}: got {got}; allowed: {MODE_ALLOWED}"])
     faults.check(file)
     return FrequencyTable(

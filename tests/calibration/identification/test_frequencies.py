@@ -18,7 +18,7 @@ from calibration.identification.procedure import identify
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.identification.unknowns import choose_coordinates
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_modes
@@ -66,6 +66,12 @@ def measured(plant, modes=(1, 2, 3)):
     )
 
 
+def select(table, rows):
+    names = tuple(np.array(table.rows)[rows])
+    columns = ("reading", "frequency", "sigma", "mode", "shape")
+    return replace(table, rows=names, **{name: getattr(table, name)[rows] for name in columns})
+
+
 def by_shape(table, shape):
     return replace(table, mode=np.zeros_like(table.mode), shape=shape)
 
@@ -93,9 +99,10 @@ def test_a_part_of_a_shape_will_do(plant):
     rest = statics.forward_kinematics(plant, table.reading)
     shape = natural_modes(plant, rest).shape[np.arange(9), :, table.mode - 1]
     shape[:, 2:] = np.nan  # a total station that sees x and y alone
-    found = by_shape(table, shape).matched(plant).modelled(plant)
-    off = np.abs(found / table.modelled(plant) - 1.0)
-    assert (off[table.mode <= 2] < 1e-9).all()  # its two swings; the third is a turn
+    swings = select(by_shape(table, shape), table.mode <= 2)  # the third is a turn
+    found = swings.matched(plant).modelled(plant)
+    off = np.abs(found / select(table, table.mode <= 2).modelled(plant) - 1.0)
+    assert (off < 1e-9).all()
 
 
 def test_the_gradient_is_half_the_slope_of_the_cost(robot, plant):
@@ -233,6 +240,54 @@ def test_a_shape_keeps_its_mode_and_a_change_of_it_is_warned_of(robot, plant):
     assert "row 5: of the identified robot its shape is most like another mode" in warnings[-1]
 
 
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_frequencies_of_shapes_in_radians_are_refused(plant, place):
+    """Also where another mode happens to be near them."""
+    table = measured(plant, modes=(place,))
+    rest = statics.forward_kinematics(plant, table.reading)
+    shape = natural_modes(plant, rest).shape[:, :, place - 1]
+    fast = replace(by_shape(table, shape), frequency=2.0 * np.pi * table.frequency)
+    with pytest.raises(InvalidField, match="within a factor of 3"):
+        fast.matched(plant)
+
+
+@pytest.mark.parametrize("component", range(6))
+def test_what_was_matched_to_a_robot_has_not_changed_with_it(plant, component):
+    """One component alone says which mode, or is refused; a warning would never end."""
+    table = measured(plant, modes=(1, 2, 3, 4, 5, 6))
+    part = np.full((18, 6), np.nan)
+    part[:, component] = 1.0
+    for row in range(18):
+        try:
+            matched = select(by_shape(table, part), [row]).matched(plant)
+        except InvalidField:
+            continue
+        assert matched.changed(plant) == []
+
+
+def test_a_mode_beside_the_shape_of_another_is_refused(plant):
+    table = measured(plant)
+    rest = statics.forward_kinematics(plant, table.reading)
+    shape = natural_modes(plant, rest).shape[np.arange(9), :, table.mode - 1]
+    both = replace(table, shape=shape).matched(plant)
+    assert (both.mode == table.mode).all()
+    other = replace(table, shape=np.roll(shape, 1, axis=0))
+    with pytest.raises(InvalidField, match="row 1: mode 1 with a shape most like mode 3"):
+        other.matched(plant)
+
+
+def test_a_search_that_leaves_where_the_robot_hangs_says_so(robot, plant):
+    unknowns = choose_coordinates(robot, FEW)
+    known = KnownFrequencies(table=measured(plant), unknowns=unknowns)
+    far = np.zeros(len(unknowns.prior.names))
+    far[: len(unknowns.prior.names)] = [
+        400.0 if name.startswith("length_offset") else 0.0 for name in unknowns.prior.names
+    ]
+    assert known.cost(far) == np.inf
+    with pytest.raises(CarosacError, match=r"no longer hangs on the lengths of frequencies, row 1"):
+        known.about(far)
+
+
 def test_a_shape_without_a_mode_has_no_frequency_yet(plant):
     with pytest.raises(InvalidField, match="mode, row 1: got 0"):
         by_shape(measured(plant), np.ones((9, 6))).modelled(plant)
@@ -247,6 +302,9 @@ def test_a_shape_without_a_mode_has_no_frequency_yet(plant):
         ({"mode": np.zeros(9, int)}, "mode, row 1: got 0"),
         ({"mode": np.ones(8, int)}, r"mode: got shape \(8,\)"),
         ({"reading": np.ones(9)}, r"reading: got shape \(9,\)"),
+        ({"mode": np.ones(9)}, "mode: got type float64; allowed: integers"),
+        ({"shape": np.full((9, 6), np.inf)}, "mode, row 1: got 1"),
+        ({"rows": ()}, "rows: got none"),
     ],
 )
 def test_what_is_no_table_is_refused(plant, change, words):
