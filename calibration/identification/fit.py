@@ -133,7 +133,7 @@ class Fitter:
             judge: Noise by which parts that are held out count; None: as in the fit.
         """
         self._unknowns = unknowns
-        self._runs = tuple(runs)
+        self._runs = self._whole = tuple(runs)
         self._settings = settings
         self._many = len(self._runs) >= RUNS_APART_MIN
         self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
@@ -162,7 +162,9 @@ class Fitter:
             [unknowns.prior.mean if robot_at is None else robot_at]
             + [run.sway.guess for run in runs]
         )
-        self._known = self._known_about(self._first)  # beside the recordings
+        self._known = Quadratic(  # beside the recordings; frequencies once a step looks at them
+            cost=0.0, gradient=np.zeros(len(self._first)), information=self._prior
+        )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
@@ -210,8 +212,7 @@ class Fitter:
 
     def _settled(self, at: Array, report: ProgressCallback) -> CoordinateFit:
         """Search from there with all poses."""
-        whole = self._runs
-        self._runs = tuple(run.first(1.0) for run in self._runs)
+        self._runs = tuple(run.first(1.0) for run in self._whole)
         state = self._settle(at, None, report)
         at = state.at
         left_out = [k for k, followed in enumerate(self._followed) if not followed]
@@ -229,8 +230,7 @@ class Fitter:
         folds = self._folds(state, self._judge or noise)
         information /= self._axes * excess
         if left_out:
-            apart = self._beside(at, [whole[k] for k in left_out])
-            for k, start in zip(left_out, apart.starts(), strict=True):
+            for k, start in zip(left_out, self._sought(at, left_out), strict=True):
                 at[self._own[k][self._count :]] = start
         return CoordinateFit(
             coordinates=at[own],
@@ -412,6 +412,7 @@ class Fitter:
                 parts.append(fold.least_beside(count))
                 continue
             stretches = max(HELD_OUT_OF_EACH, round(HELD_OUT_STRETCHES * len(errors) / total))
+            stretches = min(stretches, len(errors))
             for rows in np.array_split(np.arange(len(errors)), stretches):
                 fold = self._fold(k, noise, errors[rows], slopes[rows])
                 gradient, information = np.zeros(size), np.zeros((size, size))
@@ -436,7 +437,8 @@ class Fitter:
         loose = slice(len(gradient) - len(rows), None)
         gradient[loose] += at[rows]
         information[loose, loose] += np.eye(len(rows))
-        return replace(cost, gradient=gradient, information=information)
+        constant = cost.cost + float(at[rows] @ at[rows])
+        return Quadratic(cost=constant, gradient=gradient, information=information)
 
     def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Quadratic:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""
@@ -686,12 +688,14 @@ class Fitter:
     def _known_about(self, at: Array) -> Quadratic:
         """Return the cost of what is known beside the recordings, about coordinates."""
         pull, information = np.asarray(self._prior @ at), self._prior
+        cost = float(at @ pull)
         if self._frequencies is not None:
             told, robot = self._frequencies.about(at[: self._count]), slice(self._count)
             information = information.copy()
             information[robot, robot] += told.information
             pull[robot] += told.gradient
-        return Quadratic(cost=0.0, gradient=pull, information=information)
+            cost += told.cost
+        return Quadratic(cost=cost, gradient=pull, information=information)
 
     @property
     def _precision(self) -> Array:
@@ -882,8 +886,11 @@ class Fitter:
         if not lost:
             return at, errors
         new = at.copy()
-        fitter = self._beside(at, [self._runs[k] for k in lost])
-        starts = fitter.starts() if near else fitter._starts(fitter._suited(fitter._first))
+        if near:
+            starts = self._sought(at, lost)
+        else:
+            fitter = self._beside(at, [self._runs[k] for k in lost])
+            starts = fitter._starts(fitter._suited(fitter._first))
         for k, start in zip(lost, starts, strict=True):
             new[self._own[k][self._count :]] = start
         found = self._errors_at(new)
@@ -893,6 +900,10 @@ class Fitter:
             if noise.cost(found[k]) < noise.cost(errors[k]):
                 point[rows] = new[rows]
         return point, self._errors_at(point)
+
+    def _sought(self, at: Array, which: Sequence[int]) -> tuple[Array, ...]:
+        """Return starts of some runs beside the robot, by all poses, also those that lead."""
+        return self._beside(at, [self._whole[k] for k in which]).starts()
 
     def _beside(self, at: Array, runs: Sequence[FittedRun]) -> Fitter:
         """Return a search for the starts of some runs beside the robot of coordinates."""

@@ -193,12 +193,16 @@ def _chosen(
     judged = folds.verified(without.folds, judged)
     if all(one.kept for one in judged):
         return replace(found, candidates=judged)
-    doubts = [
-        f"candidates were judged by a fit with all of them, of which: {line}"
-        for line in found.warnings
-        if line not in without.warnings
-    ]
-    return replace(without, candidates=judged, warnings=(*without.warnings, *doubts))
+    return replace(without, candidates=judged, warnings=(*without.warnings, *_doubts(found)))
+
+
+def _doubts(judge: Identification) -> Iterator[str]:
+    """Warn of a fit that candidates were judged by, and that cannot be trusted."""
+    fit = "the fit with all candidates, by which they were judged,"
+    if not judge.converged:
+        yield f"{fit} had not settled after {judge.iterations} steps"
+    if judge.unfollowed:
+        yield f"{fit} had to leave out {', '.join(judge.unfollowed)}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -420,7 +424,11 @@ def _prepare(
         ),
         default=0.0,
     )  # the same for all: recordings that are sampled alike are simulated together
-    averaged = [window for window in windows if window]
+    averaged = [
+        window
+        for part, window in zip(parts, windows, strict=True)
+        if window and part.train is not None
+    ]
     rate = averaged_rate(averaged) if averaged else np.inf
     return [
         _prepared(part, robot, each, settings, path, rest, window, early, rate)

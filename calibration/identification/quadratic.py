@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+
+BVLS_STEPS = 10  # at most, for each coordinate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +45,9 @@ class Quadratic:
         """Return the change (p,) to where it is least; none is below `lower` (p,), itself <= 0.
 
         A must be positive definite.
+
+        Raises:
+            CarosacError: No such change is found.
         """
         from scipy.optimize import lsq_linear
 
@@ -50,5 +56,9 @@ class Quadratic:
             return change
         root = np.linalg.cholesky(self.information)  # d^T A d = |root^T d|^2
         pull = np.linalg.solve(root, -self.gradient)
-        found = lsq_linear(root.T, pull, bounds=(lower, np.inf), method="bvls")
+        found = lsq_linear(
+            root.T, pull, bounds=(lower, np.inf), method="bvls", max_iter=BVLS_STEPS * len(lower)
+        )
+        if not found.success:
+            raise CarosacError(f"identification: bounded least squares: {found.message}")
         return np.asarray(found.x, float)

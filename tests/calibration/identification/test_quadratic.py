@@ -45,3 +45,12 @@ def test_beside_others_the_cost_is_the_least_that_they_allow():
     least = loose.at(loose.least_within(np.full(4, -np.inf)))
     assert cost.least_beside(2).at(first) == pytest.approx(least)
     assert cost.least_beside(6).at(np.zeros(6)) == cost.cost
+
+
+def test_a_bound_everywhere_is_found_too():
+    """As many steps as coordinates would not do."""
+    cost = some(3, 40)
+    change = cost.least_within(np.full(40, -1e-3))
+    slope = cost.gradient + cost.information @ change
+    assert (slope[change <= -1e-3] >= -1e-9).all()
+    assert slope[change > -1e-3 + 1e-12] == pytest.approx(0.0, abs=1e-9)

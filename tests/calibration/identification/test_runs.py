@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import carosac_toolkit as ct
 from benchmarks.calibration_oscillations import (
@@ -319,6 +320,32 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
     assert noise.cost(found[4]) < 0.5 * noise.cost(errors[4])
 
 
+def test_what_is_held_out_costs_what_its_best_start_does(near):
+    fitter, at, errors, noise, wide, _ = near
+    count, rows = fitter._count, fitter._own[2][fitter._count :]
+    fold = fitter._fold(2, noise, errors[2], wide.exact[2])
+    apart = fitter._with_start(2, at, fold).least_beside(count)
+
+    def cost(start):
+        change = np.concatenate([np.zeros(count), start - at[rows]])
+        return fold.at(change) + float(start @ start)
+
+    best = minimize(cost, at[rows], tol=1e-12)
+    assert apart.at(np.zeros(count)) == pytest.approx(best.fun, rel=1e-6)
+
+
+def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
+    fitter = fitter_of(plant, runs[:2])
+    at = fitter._first
+    errors, slopes = fitter._errors_at(at), fitter._jacobians(at, coarse=True)
+    state = search_state.Search(
+        at=at, errors=[errors[0][:1], errors[1]], jacobians=[slopes[0][:1], slopes[1]], count=1,
+        settled=True,
+    )  # fmt: skip
+    folds = fitter._folds(state, estimate_noise(errors))
+    assert len(folds.parts) == 1 + min(fit.HELD_OUT_STRETCHES, len(errors[1]))
+
+
 def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch):
     fitter = fitter_of(plant, runs)
     at, simulated = fitter._first, fitter._simulated
@@ -407,6 +434,13 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
     assert locked.leading > 0.2 and locked.begin < locked.poses.time[0]
     assert moving.leading == 0.0 and moving.begin == moving.path.first
     assert [run.fitted.leading for run in prepare([0.0, 0.0])] == [0.0, 0.0]
+    rates = [run.fitted.averaged_rate for run in prepare([0.48, 0.52])]
+    assert rates == [averaged_rate([0.48, 0.52])] * 2
+    kept_back = replace(parts[1], train=None, test=parts[1].train)
+    beside = procedure._prepare(
+        [parts[0], kept_back], plant, poses, settings, paths, rests, [0.48, 0.2]
+    )
+    assert beside[0].fitted.averaged_rate == averaged_rate([0.48])  # what is fitted stays as it is
 
 
 def test_many_poses_are_thinned(runs):
