@@ -8,7 +8,8 @@ C says how far off the parameters may be:
 
 .. math:: (W^{-1} + D C D^T)^{-1} = W - W D (C^{-1} + D^T W D)^{-1} D^T W.
 
-C follows from the information that is left, and that from C: repeated until both agree.
+C follows from the information that is left, and that from C: repeated until both agree. What may
+change errors beside derivatives adds columns to D, with a C of 1.
 
 References:
     Fuller, *Measurement Error Models*, 1987.
@@ -39,22 +40,25 @@ class RunDerivatives:
         robot: By the k coordinates of the robot, shape (N, k).
         start: By those of the run's start, shape (N, s).
         doubt: By how much those by the robot may be wrong, shape (N, k).
+        hidden: What beside the robot and the start may change errors, each column by one sigma,
+            shape (N, d).
         weights: Of errors, shape (N,).
     """
 
     robot: Array
     start: Array
     doubt: Array
+    hidden: Array
     weights: Array
 
     def beside_start(self) -> tuple[Array, Array]:
-        """Return derivatives and doubt (N, k) that no change of the start makes up for.
+        """Return derivatives (N, k) and what may be wrong (N, k + d) that no start makes up for.
 
         The start's prior sigmas are 1.
         """
         weighted = self.weights[:, None] * self.start
         known = np.eye(self.start.shape[1]) + self.start.T @ weighted
-        both = np.hstack([self.robot, self.doubt])
+        both = np.hstack([self.robot, self.doubt, self.hidden])
         left = both - self.start @ np.linalg.solve(known, weighted.T @ both)
         return left[:, : self.robot.shape[1]], left[:, self.robot.shape[1] :]
 
@@ -64,7 +68,8 @@ class Doubts:
     """By how much derivatives may be wrong, and how far off the robot may be.
 
     Attributes:
-        slopes: By how much, of each run (N, k); what its start makes up for is left out.
+        slopes: By how much, of each run, and what else may change its errors, (N, k + d); what its
+            start makes up for is left out.
         precision: Inverse of the robot's covariance, shape (k, k).
     """
 
@@ -80,16 +85,17 @@ class Doubts:
             prior: Information on the robot beside the runs, shape (k, k).
         """
         sides = [run.beside_start() for run in runs]
-        slopes = [doubt for _, doubt in sides]
+        slopes = [wrong for _, wrong in sides]
         told = [
-            (run.robot.T @ (w * side), doubt.T @ (w * side), doubt.T @ (w * doubt))
-            for run, (side, doubt) in zip(runs, sides, strict=True)
+            (run.robot.T @ (w * side), wrong.T @ (w * side), wrong.T @ (w * wrong))
+            for run, (side, wrong) in zip(runs, sides, strict=True)
             for w in [run.weights[:, None]]
         ]
         precision = prior + sum(plain for plain, _, _ in told)
         for _ in range(ROUNDS_MAX):
             left = prior + sum(
-                plain - both.T @ np.linalg.solve(precision + own, both) for plain, both, own in told
+                plain - both.T @ np.linalg.solve(_with_unit(precision, len(own)) + own, both)
+                for plain, both, own in told
             )
             change = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(left)[1]
             precision = 0.5 * (left + left.T)
@@ -108,5 +114,12 @@ class Doubts:
         """
         slope = self.slopes[k]
         weighted = weights[:, None] * slope
-        known = self.precision + slope.T @ weighted
+        known = _with_unit(self.precision, slope.shape[1]) + slope.T @ weighted
         return np.asarray((weighted.T @ left).T @ np.linalg.solve(known, weighted.T @ right))
+
+
+def _with_unit(precision: Array, size: int) -> Array:
+    """Return a precision (k, k) with 1 for all further ones, shape (size, size)."""
+    whole = np.eye(size)
+    whole[: len(precision), : len(precision)] = precision
+    return whole

@@ -31,6 +31,7 @@ from calibration.identification.spread import (
     symmetric_draws,
 )
 from calibration.identification.unknowns import Coordinates
+from calibration.identification.vibrations import hidden_vibrations
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
@@ -616,7 +617,29 @@ class Fitter:
             for each in (rough, exact):
                 self._fill_alike(each)
         near = self._jacobians(at, coarse=True)
-        return Wide(at=at.copy(), rough=rough, exact=exact, near=near)
+        hidden = self._hidden_vibrations(at, [each[:, :, 0].size for each in rough])
+        return Wide(at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden)
+
+    def _hidden_vibrations(self, at: Array, sizes: Sequence[int]) -> list[Array]:
+        """Return what vibrations that noise hides may change, as `hidden_vibrations`.
+
+        Args:
+            at: All coordinates.
+            sizes: How many errors each run has; none of one whose start has them as unknowns.
+        """
+        hidden = [np.zeros((size, 0)) for size in sizes]
+        which = [k for k, run in enumerate(self._runs) if not len(run.sway.stretch_sigma)]
+        found = hidden_vibrations(
+            self._simulator,
+            [self._whole[k] for k in which],
+            [self._runs[k] for k in which],
+            [at[self._own[k]] for k in which],
+            self._unknowns.robot_at(at[: self._count]),
+            self._time_step,
+        )
+        for k, each in zip(which, found, strict=True):
+            hidden[k] = each
+        return hidden
 
     def _doubted(
         self,
@@ -628,8 +651,8 @@ class Fitter:
         """Return by how much derivatives may be wrong, as both kinds differ."""
         count = self._count
         runs = []
-        for k, (jacobian, exact, near) in enumerate(
-            zip(jacobians, wide.exact, wide.near, strict=True)
+        for k, (jacobian, exact, near, hidden) in enumerate(
+            zip(jacobians, wide.exact, wide.near, wide.hidden, strict=True)
         ):
             differs = DOUBT_RATIO * (exact - near)
             flat, doubt = (each.reshape(errors[k].size, -1) for each in (jacobian, differs))
@@ -639,6 +662,7 @@ class Fitter:
                     robot=flat[:, :count],
                     start=flat[:, count:],
                     doubt=doubt[:, :count],
+                    hidden=hidden,
                     weights=weights,
                 )
             )

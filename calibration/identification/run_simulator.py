@@ -50,14 +50,40 @@ class RunSimulator:
             refined: Steps that each of these is divided into.
 
         Returns:
-            Of each run: errors (B, K, 6), and which robots exist and have a finite motion (B,).
+            Of each run: errors as it sees them (B, K', 6), and which robots exist and have a finite
+            motion (B,).
+        """
+        own = [each[:, rows] for each, rows in zip(points, self._own, strict=True)]
+        errors, exists = self.pose_errors(runs, own, time_step, refined=refined)
+        pairs = zip(runs, errors, strict=True)
+        return [np.array([run.seen(one) for one in each]) for run, each in pairs], exists
+
+    def pose_errors(
+        self,
+        runs: Sequence[FittedRun],
+        points: Sequence[Array],
+        time_step: float,
+        *,
+        refined: int = 1,
+    ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Simulate robots at coordinates, for each run of its own, and compare all poses.
+
+        Args:
+            runs: In the order of the coordinates.
+            points: Of each run, coordinates of the robot and then of its start, shape (B, p).
+            time_step: At most [s].
+            refined: Steps that each of these is divided into.
+
+        Returns:
+            Of each run: errors of all poses (B, K, 6), and which robots exist and have a finite
+            motion (B,).
         """
         known: dict[bytes, Robot | None] = {}
         jobs, exists = [], []
-        for run, own, each in zip(runs, self._own, points, strict=True):
+        for run, each in zip(runs, points, strict=True):
             robots = [self._robot(point[: self._count], known) for point in each]
             exists.append(np.array([robot is not None for robot in robots]))
-            start = OpenLoopStart(sway=run.sway, coordinates=each[:, own[self._count :]])
+            start = OpenLoopStart(sway=run.sway, coordinates=each[:, self._count :])
             jobs.append(
                 OpenLoopRun(
                     robots=[robot or self._unknowns.robot for robot in robots],
@@ -70,10 +96,9 @@ class RunSimulator:
         for k, motion in enumerate(simulate_runs(jobs, time_step=time_step, refined=refined)):
             seen = motion.seen_by(self._unknowns.robot, jobs[k].robots)
             exists[k] &= ~motion.failed
-            run = runs[k]
             errors.append(
                 np.array([
-                    run.seen(run.poses.errors(seen.position[:, b], seen.rotation[:, b]))
+                    runs[k].poses.errors(seen.position[:, b], seen.rotation[:, b])
                     for b in range(len(points[k]))
                 ])
             )  # fmt: skip

@@ -208,7 +208,7 @@ def without_ringing(poses: MeasuredPoses, window: float, sway: float) -> Measure
         sway: Frequency of the fastest sway [Hz].
     """
     length = RINGING_WINDOWS * window
-    degree = SWAY_DEGREE + math.ceil(SWAY_DEGREE_PER_PERIOD * length * sway)
+    degree = sway_degree(length, sway)
     begin, scatter, freedoms = _scatter(poses, length, degree)
     if not len(begin):
         return poses
@@ -220,6 +220,16 @@ def without_ringing(poses: MeasuredPoses, window: float, sway: float) -> Measure
     calm = [k for k in range(len(rings)) if not rings[k : k + CALM_WINDOWS].any()]
     since = min(begin[calm[0]], latest) if calm else latest
     return poses.rows(np.flatnonzero(poses.time >= since))
+
+
+def sway_degree(time: float, sway: float) -> int:
+    """Return the degree of polynomials that follow a sway for some time [s], and no vibration.
+
+    Args:
+        time: For how long.
+        sway: Frequency of the fastest sway [Hz].
+    """
+    return SWAY_DEGREE + math.ceil(SWAY_DEGREE_PER_PERIOD * time * sway)
 
 
 def _scatter(poses: MeasuredPoses, window: float, degree: int) -> tuple[Array, Array, Array]:

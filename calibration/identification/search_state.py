@@ -37,12 +37,15 @@ class Wide:
         rough: Of the time steps of the search.
         exact: Of vanishing ones.
         near: Over short steps, of the time steps of the search.
+        hidden: What vibrations that noise hides may change of errors of each run, each column by
+            one sigma, shape (6 K, 2 n).
     """
 
     at: Array
     rough: list[Array]
     exact: list[Array]
     near: list[Array]
+    hidden: list[Array]
 
     @property
     def jacobians(self) -> list[Array]:

@@ -126,7 +126,7 @@ def find_sway(
     frequency = np.sqrt(np.abs(squared))
     floor = np.full(len(frequency), REST_DISPLACEMENT_SIGMA.of(Scales(robot).ratios))
     sigma = np.concatenate([floor, frequency * floor])
-    guess, stretch_sigma = np.zeros(len(sigma)), np.zeros(0)
+    guess, elongations = np.zeros(len(sigma)), np.zeros(0)
     if moves and len(frequency):
         first = first_state(robot, rest, poses.time, poses.position, poses.rotation)
         guess = _guess(rest, first, np.linalg.cholesky(mass).T, shape)
@@ -136,13 +136,13 @@ def find_sway(
         if before:
             guess = _earlier(guess, frequency, before)
         else:
-            stretch_sigma = _stretch_sigma(robot, rest)
+            elongations = stretch_sigma(robot, rest)
     return FreeSway(
         shape=shape,
         frequency=frequency,
         sigma=sigma,
-        stretch_sigma=stretch_sigma,
-        guess=np.concatenate([guess / sigma, np.zeros(len(stretch_sigma))]),
+        stretch_sigma=elongations,
+        guess=np.concatenate([guess / sigma, np.zeros(len(elongations))]),
         begin=float(poses.time[0]) - before if before else None,
     )
 
@@ -239,7 +239,7 @@ def _earlier(state: Array, frequency: Array, time: float) -> Array:
     ])  # fmt: skip
 
 
-def _stretch_sigma(robot: Robot, rest: Equilibrium) -> Array:
+def stretch_sigma(robot: Robot, rest: Equilibrium) -> Array:
     """Return the prior sigma of elongations [m] and of their rates [m/s], shape (2 n,)."""
     strain = rest.tension[0] / robot.axial_stiffness
     sigma = STRETCH_SIGMA_SHARE * strain * (rest.unstrained_length[0] + robot.run_length)

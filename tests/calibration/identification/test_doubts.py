@@ -16,6 +16,7 @@ def draw_run(rng, *, wrong: float) -> RunDerivatives:
         robot=rng.standard_normal((ERRORS, ROBOT)),
         start=rng.standard_normal((ERRORS, START)),
         doubt=wrong * rng.standard_normal((ERRORS, ROBOT)),
+        hidden=np.zeros((ERRORS, 0)),
         weights=rng.uniform(0.5, 2.0, ERRORS),
     )
 
