@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
+from scipy.stats import gamma
 
 from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.run_simulator import RunSimulator
@@ -129,10 +130,11 @@ def vibration_level(run: FittedRun, errors: Array) -> float:
         best = np.linalg.lstsq(slopes / sigma[:, None], missed.ravel() / sigma, rcond=None)[0]
         left = missed - (slopes @ best).reshape(missed.shape)
     over = slopes / sigma[:, None]
-    told, axes = np.linalg.eigh(over.T @ over)
-    pull = axes.T @ (over.T @ (missed.ravel() / sigma))
-    power = LEVELS[:, None] ** 2
-    logarithm = 0.5 * (pull**2 * power / (1.0 + power * told) - np.log1p(power * told)).sum(axis=1)
+    told = np.linalg.eigvalsh(over.T @ over)
+    power = float(((slopes @ best / sigma) ** 2).sum())  # that vibrations explain
+    grown = 1.0 + LEVELS[:, None] ** 2 * told  # mean of its parts, which noise alone has as 1
+    mean, variance = grown.sum(axis=1), 2.0 * (grown**2).sum(axis=1)
+    logarithm = gamma.logpdf(power, mean**2 / variance, scale=variance / mean)
     likely = np.exp(logarithm - logarithm.max()) * LEVELS  # levels come at equal ratios
     return float(np.sqrt((likely * LEVELS**2).sum() / likely.sum()))
 
