@@ -10,7 +10,8 @@ from typing import Any
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
 
-PRODUCTS_SIGMA = 0.15  # of the products of inertia, as candidates
+# Of candidates that are held else.
+CANDIDATE_SIGMAS = {"inertia_products": 0.15, "angular_drag_axes": 0.5, "cable_drag": 1.0}
 _NO_SIGMAS = ("rate", "iterations", "time_step")
 
 
@@ -43,6 +44,8 @@ class IdentificationSettings:
             points that are held stay where they are in W.
         drag: Share.
         angular_drag: Share.
+        angular_drag_axes: Share of the factor about each axis of the platform.
+        cable_drag: Share of the air drag of the cables.
         rate: Poses per second that are fitted, at most [Hz].
         iterations: At most.
         time_step: Of the simulator, at most [s].
@@ -67,6 +70,8 @@ class IdentificationSettings:
     pose_tilt: float = 0.01
     drag: float = 1.0
     angular_drag: float = 1.0
+    angular_drag_axes: float = 0.0
+    cable_drag: float = 0.0
     rate: float = Scaled(10.0, "Hz")
     iterations: int = 25
     time_step: float = Scaled(1.0 / 140.0, "s")
@@ -88,7 +93,7 @@ class IdentificationSettings:
         usual: dict[str, Any] = {
             field.name: field.default for field in fields(self) if field.name not in _NO_SIGMAS
         }
-        usual["inertia_products"] = PRODUCTS_SIGMA
+        usual |= CANDIDATE_SIGMAS
         for name in names:
             if name not in usual:
                 raise InvalidField("candidates", repr(name), f"any of {', '.join(usual)}")

@@ -26,6 +26,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.device import lever
+from carosac_toolkit.physics.motion.dynamics import cable_drag_of
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
@@ -35,7 +36,7 @@ PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of p
 STEP_SHARE_MIN = 0.25  # least share of itself that a step leaves of a factor, or of 1 / EA
 _INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
 _PRODUCT_PLACES = {"inertia.xy": (1, 0), "inertia.xz": (2, 0), "inertia.yz": (2, 1)}
-_FACTOR_FIELDS = (
+_FORCE_FIELDS = (
     "mass",
     "linear_density",
     "axial_stiffness",
@@ -43,6 +44,7 @@ _FACTOR_FIELDS = (
     "drag",
     "angular_drag",
 )
+_FACTOR_FIELDS = (*_FORCE_FIELDS, "angular_drag_axes", "cable_drag")
 _NOT_NEGATIVE_FIELDS = (
     "run_length",
     "length_delay",  # estimators cannot look ahead
@@ -134,9 +136,12 @@ class Coordinates:
 
         None where one of them is held.
         """
-        line = np.where(self.factor > 0.0, 1.0 / self.scale, 0.0)
+        forces = [
+            name in _INERTIA_NAMES or field_of(name) in _FORCE_FIELDS for name in self.prior.names
+        ]
+        line = np.where(forces, 1.0 / self.scale, 0.0)
         larger = self.robot_at(line)
-        for field in (*_FACTOR_FIELDS, *_FRICTION_FIELDS, "inertia"):
+        for field in (*_FORCE_FIELDS, *_FRICTION_FIELDS, "inertia"):
             before, after = (np.asarray(getattr(each, field)) for each in (self.robot, larger))
             if not np.allclose(after, np.exp(1.0) * before, rtol=1e-9, atol=0.0):
                 return None
@@ -203,6 +208,8 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     Raises:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
+    if settings.cable_drag > 0.0:
+        robot = replace(robot, cable_drag=cable_drag_of(robot))
     names, scale = _names(robot, resolved(settings, Scales(robot).ratios))
     factor = np.array(
         [name in _INERTIA_NAMES or field_of(name) in _FACTOR_FIELDS for name in names]
@@ -290,6 +297,8 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "mass": ["mass"],
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
+        "angular_drag_axes": [f"angular_drag_axes.{a}" for a in "xyz"],
+        "cable_drag": ["cable_drag"],
         "length_delay": ["length_delay"],
         "length_hysteresis": [f"length_hysteresis[{c}]" for c in cables],
         "pose_tilt": ["pose_tilt.x", "pose_tilt.y"],

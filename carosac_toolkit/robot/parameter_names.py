@@ -18,7 +18,7 @@ _FIELD_UNITS = {
     "axial_damping": "N*s", "run_length": "m", "length_delay": "s", "pose_tilt": "rad",
     "mass": "kg", "drag": "N*s/m", "angular_drag": "N*m*s/rad", "center_of_mass": "m",
     "inertia": "kg*m^2", "exit_friction": "N*m", "anchor_friction": "N*m",
-    "length_hysteresis": "m",
+    "length_hysteresis": "m", "angular_drag_axes": "1", "cable_drag": "1/s",
 }  # fmt: skip
 _POINT_FIELDS = ("exit_points", "anchor_points")  # of each cable
 _CABLE_FIELDS = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
@@ -31,7 +31,8 @@ _SHARED_FIELDS = (
     "anchor_friction",
     "length_hysteresis",
 )  # of each, or of all
-SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag")
+SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag", "cable_drag")
+_AXIS_FIELDS = ("center_of_mass", "angular_drag_axes", "pose_tilt")  # the last one has no z
 _PARAMETER_PATTERN = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")
 
 
@@ -83,7 +84,7 @@ def locate(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
         index = (slice(None),)
     elif field in SCALAR_FIELDS and number is None and axis is None:
         index = ()
-    elif field in ("pose_tilt", "center_of_mass") and number is None and axis in ("x", "y", "z"):
+    elif field in _AXIS_FIELDS and number is None and axis in ("x", "y", "z"):
         index = ("xyz".index(axis),)
     elif field == "inertia" and number is None and axis in ("xx", "yy", "zz", "xy", "xz", "yz"):
         index = ("xyz".index(axis[0]), "xyz".index(axis[1]))

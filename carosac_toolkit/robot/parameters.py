@@ -14,6 +14,8 @@ name                       unit    meaning
 ``length_delay``           s       by how much readings lead poses
 ``pose_tilt.x``            rad     of the frame of measured poses against W, about x of W; also y
 ``mass``                   kg      also ``drag``, ``angular_drag``
+``angular_drag_axes.x``    1       factor of the angular drag about x of P; also y, z
+``cable_drag``             1/s     air drag of the cables per mass
 ``center_of_mass.x``       m       in P; also y, z
 ``inertia.xx``             kg m^2  also yy, zz, xy, xz, yz
 ========================== ======= ==========================================================
@@ -96,7 +98,11 @@ def _get(robot: Robot, name: str) -> float:
         return float(_tilt(robot)[where])
     if not where:
         value = getattr(robot, field)
-        return float(_UNCALIBRATED_VALUES[field] if value is None else value)
+        if value is None:
+            value = _UNCALIBRATED_VALUES.get(field)
+        if value is None:
+            raise _unknown(robot, field)
+        return float(value)
     entries = np.atleast_1d(_array(robot, field)[where])
     if np.ptp(entries) > 1e-12 * np.abs(entries).max():
         allowed = f"a name of each cable, {field}[{robot.cable_names[0]}]: they differ"
@@ -110,8 +116,13 @@ def _array(robot: Robot, field: str) -> Array:
     if value is not None:
         return value
     if field not in _UNCALIBRATED_VALUES:
-        raise InvalidField("parameter", f"'{field}'", f"one that robot {robot.name!r} has")
+        raise _unknown(robot, field)
     return np.full(robot.n, _UNCALIBRATED_VALUES[field])
+
+
+def _unknown(robot: Robot, field: str) -> InvalidField:
+    """Return the error about a parameter that a robot does not have."""
+    return InvalidField("parameter", f"'{field}'", f"one that robot {robot.name!r} has")
 
 
 def _pose_rotation(robot: Robot) -> Array:

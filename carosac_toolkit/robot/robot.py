@@ -87,6 +87,9 @@ class Robot:
         inertia: Of platform with payloads, about the centre of mass, axes of P [kg m^2], (3, 3).
         drag: Air drag force per platform speed [N s/m].
         angular_drag: Air drag moment per angular speed [N m s/rad].
+        angular_drag_axes: Factors of it about the axes of P [1], shape (3,).
+        cable_drag: Air drag force on the cables per mass and speed [1/s]; None: unknown, what is
+            usual for a robot of this size.
         gravity: Magnitude of gravity, along -z of W [m/s^2].
         workspace_min: Lower corner of the workspace box of the platform origin in W [m], (3,).
         workspace_max: Upper corner [m], (3,).
@@ -144,6 +147,8 @@ class Robot:
     exit_friction: Array = field(default_factory=lambda: np.zeros(1))
     anchor_friction: Array = field(default_factory=lambda: np.zeros(1))
     length_hysteresis: Array = field(default_factory=lambda: np.zeros(1))
+    angular_drag_axes: Array = field(default_factory=lambda: np.ones(3))
+    cable_drag: float | None = None
     drum_gear: Array | None = None
     drum_advantage: Array | None = None
     length_offset: Array | None = None
@@ -172,8 +177,9 @@ class Robot:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(name, value, (n, *shape)))
-        if self.length_delay is not None:
-            object.__setattr__(self, "length_delay", _scalar("length_delay", self.length_delay))
+        for name in ("length_delay", "cable_drag"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _scalar(name, getattr(self, name)))
         if self.pose_rotation is not None:
             set_frozen(self, {"pose_rotation": (3, 3)})
         self._check_signs()
@@ -214,8 +220,10 @@ class Robot:
         """
 
         def build(rest: Any, arrays: dict[str, NDArray[Any]]) -> Robot:
-            none = {name: np.zeros(1) for name in DRY_FIELDS}  # files older than these
-            record = {"hardware": None, "model_error": None} | none | rest | arrays
+            # files older than these
+            none = {name: np.zeros(1) for name in DRY_FIELDS} | {"angular_drag_axes": np.ones(3)}
+            record = {"hardware": None, "model_error": None, "cable_drag": None}
+            record = record | none | rest | arrays
             unknown = set(record) ^ {each.name for each in fields(cls)}
             if unknown:
                 allowed = f"the fields of Robot; differing: {sorted(unknown)}"
@@ -324,7 +332,9 @@ _CABLE_FIELDS = (
     "length_min", "length_max",
 )  # fmt: skip
 DRY_FIELDS = ("exit_friction", "anchor_friction", "length_hysteresis")  # 0 where not given
-_VECTOR_FIELDS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
+_VECTOR_FIELDS = (
+    "center_of_mass", "angular_drag_axes", "workspace_min", "workspace_max", "home_position",
+)  # fmt: skip
 _OPTIONAL_SHAPES: dict[str, tuple[int, ...]] = {
     "exit_covariance": (3, 3),
     "drum_radius": (),
@@ -340,7 +350,7 @@ _POSITIVE_FIELDS = (
 )  # fmt: skip
 _NOT_NEGATIVE_FIELDS = (
     "pulley_radius", "run_length", "axial_damping", "tension_min", "winch_lag", "length_min",
-    "drum_buildup", "drag", "angular_drag", *DRY_FIELDS,
+    "drum_buildup", "drag", "angular_drag", "angular_drag_axes", "cable_drag", *DRY_FIELDS,
 )  # fmt: skip
 _ORDERED_FIELDS = (
     ("tension_min", "tension_max"),

@@ -20,8 +20,9 @@ UNITS_BY_FIELD: Mapping[str, str] = {
     "cable_diameter": "m", "tension_min": "N", "tension_max": "N", "speed_max": "m/s",
     "acceleration_max": "m/s^2", "winch_lag": "s", "length_min": "m", "length_max": "m",
     "drum_radius": "m", "drum_buildup": "m", "mass": "kg", "center_of_mass": "m",
-    "inertia": "kg m^2", "drag": "N s/m", "angular_drag": "N m s", "workspace_min": "m",
-    "workspace_max": "m", "home_position": "m", "length_offset": "m", "length_delay": "s",
+    "inertia": "kg m^2", "drag": "N s/m", "angular_drag": "N m s", "cable_drag": "1/s",
+    "workspace_min": "m", "workspace_max": "m", "home_position": "m", "length_offset": "m",
+    "length_delay": "s",
 }  # fmt: skip
 
 

@@ -144,7 +144,8 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(errors, exact, noise)
-    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough)
+    hidden = [np.zeros((each[:, :, 0].size, 0)) for each in rough]
+    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough, hidden=hidden)
     return fitter, at, errors, noise, wide, information
 
 
