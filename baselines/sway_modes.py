@@ -48,7 +48,9 @@ def sway_modes(robot: Robot, rest: Equilibrium, count: int) -> SwayModes:
     spin = shape[:, 3:].swapaxes(1, 2)  # (B, K, 3)
     center = (rest.rotation @ robot.center_of_mass)[:, None, :]
     velocity = shape[:, :3].swapaxes(1, 2) + np.cross(spin, center)  # of the centre of mass
-    power = robot.drag * (velocity**2).sum(axis=2) + robot.angular_drag * (spin**2).sum(axis=2)
+    about = spin @ rest.rotation  # along the axes of P
+    power = robot.drag * (velocity**2).sum(axis=2)
+    power = power + robot.angular_drag * (about**2 @ robot.angular_drag_axes)
     structure = structure_matrix(robot, rest.position, rest.rotation)
     stretch = structure.swapaxes(1, 2) @ shape  # (B, n, K)
     rate = robot.axial_damping / (rest.unstrained_length + robot.run_length)  # (B, n) [N s/m]

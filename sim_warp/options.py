@@ -20,7 +20,7 @@ class CableOptions:
             time in proportion.
         time_step: Longest time step [s]; None takes a default.
         cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass. None:
-            0.5 on ``carosac``, scales with the robot.
+            that of the robot, or, where it is unknown, 0.5 on ``carosac``, scaled to its size.
         device: Warp device, such as ``cpu`` or ``cuda``.
     """
 

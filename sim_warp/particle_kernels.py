@@ -147,7 +147,6 @@ class Chains:
     end_load: wp.array2d(dtype=wp.vec3d)  # scratch: weight less inertia of the last half segment
     end_unit: wp.array2d(dtype=wp.vec3d)  # scratch: direction of the last segment
     bristles: wp.array2d(dtype=Bristles)  # scratch: at the end of the step
-    drag: wp.float64  # air drag per mass of cable [1/s]
     segments: int  # N
 
 
@@ -311,13 +310,14 @@ def segment_between(cable: Cable, mesh: CableMesh, upper: wp.vec3d, lower: wp.ve
 
 @wp.func
 def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i: int,
-               scheme: Scheme, gravity: wp.float64, anchor: wp.vec3d, anchor_velocity: wp.vec3d,
+               scheme: Scheme, gravity: wp.float64, drag: wp.float64, anchor: wp.vec3d,
+               anchor_velocity: wp.vec3d,
                anchor_inertial_rate: wp.vec3d) -> AnchorLoad:  # fmt: skip
     """Eliminate the nodes of a chain from the pulley to the anchor point."""
     last = chains.segments - 1
     gravity_vector = wp.vec3d(ZERO, ZERO, -gravity)
     identity = wp.identity(n=3, dtype=wp.float64)
-    inertia = scheme.stiff + chains.drag / scheme.reach
+    inertia = scheme.stiff + drag / scheme.reach
     upper = wp.vec3d()
     upper_velocity = wp.vec3d()
     load = wp.vec3d()  # on the upper node, but for the segment below it
@@ -359,7 +359,7 @@ def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i:
             carried = matrix * shift
         chains.tension_gradient[s, i, k] = segment.axial * segment.unit
         chains.trial_tension[s, i, k] = segment.tension
-        load = lower_mass * (gravity_vector - inertial_rate - chains.drag * velocity)
+        load = lower_mass * (gravity_vector - inertial_rate - drag * velocity)
         if k == last:
             chains.end_load[s, i] = load
             chains.end_unit[s, i] = segment.unit
@@ -417,8 +417,8 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         load = sweep_down(
-            chains, cable, mesh, b, s, i, scheme, body.gravity, trial.center + arm, velocity,
-            inertial_rate,
+            chains, cable, mesh, b, s, i, scheme, body.gravity, body.cable_drag,
+            trial.center + arm, velocity, inertial_rate,
         )  # fmt: skip
         total = attach(total, arm, load.force, load.stiffness)
         if rubs(cable):

@@ -30,7 +30,6 @@ class ParticleDynamics:
         n: int,
         device: str,
         segments: int,
-        drag: float,
         xpbd_iterations: int | None = None,
     ) -> None:
         """Allocate; `place` comes before `advance`.
@@ -42,7 +41,6 @@ class ParticleDynamics:
             n: Cables of each.
             device: Warp device.
             segments: Segments N of a cable.
-            drag: Air drag of the cables per mass [1/s].
             xpbd_iterations: Passes over all segments in a time step of position-based dynamics;
                 None takes implicit steps (`particle_kernels`).
         """
@@ -50,7 +48,7 @@ class ParticleDynamics:
         self._plants = plants
         self._worlds = worlds
         self._device = device
-        self.chains = self._allocate(size, n, segments, drag)
+        self.chains = self._allocate(size, n, segments)
         before = [plants, worlds, self.chains]
         if xpbd_iterations is not None:
             warp_setup.load(xpbd_kernels, device)
@@ -61,7 +59,7 @@ class ParticleDynamics:
         lanes = 1 if wp.get_device(device).is_cpu else min(32, 1 << (n - 1).bit_length())
         self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
-    def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
+    def _allocate(self, size: int, n: int, segments: int) -> Any:
         """Allocate the `Chains` struct; worlds that are computed in turn share their scratch."""
         rows = 1 if wp.get_device(self._device).is_cpu else size
         out = particle_kernels.Chains()
@@ -77,7 +75,6 @@ class ParticleDynamics:
             ("bristles", (rows, n), Bristles),
         ):  # fmt: skip
             setattr(out, name, wp.zeros(shape, dtype=kind, device=self._device))
-        out.drag = drag
         out.segments = segments
         return out
 

@@ -30,7 +30,7 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.shapes import hanging_cables
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement, cable_drag_of
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
@@ -100,7 +100,7 @@ class Simulator:
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.
             cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass. None:
-                0.5 on ``carosac``, scales with the robot (the first, where there are several).
+                that of each robot, or, where it is unknown, 0.5 on ``carosac``, scaled to its size.
             winch: Response of the drives to commands; None takes the defaults.
             iterations: Passes over the constraints in a time step, for ``xpbd``.
             at_home: False places no world: all have failed until `reset`, which saves time.
@@ -121,8 +121,9 @@ class Simulator:
         if time_step is None:
             time_step = TIME_STEPS[cables].of(Scales(robots[0]).ratios)
         check_positive("time_step", time_step, "s")
-        drag = cable_drag_of(robots[0]) if cable_drag is None else cable_drag
-        check_not_negative("cable_drag", drag, "1/s")
+        if cable_drag is not None:
+            check_not_negative("cable_drag", cable_drag, "1/s")
+            robots = [replace(each, cable_drag=float(cable_drag)) for each in robots]
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
@@ -145,21 +146,21 @@ class Simulator:
         self._worlds = allocate_worlds(size, self.fleet.n, device, self.seeds.astype(np.int32))
         command = self._worlds.command  # on the CPU numpy writes to it directly, which is faster
         self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
-        self._dynamics = self._make_dynamics(float(drag), iterations)
+        self._dynamics = self._make_dynamics(iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         if at_home:
             self._go_home()
         else:
             self._worlds.failed.fill_(1)
 
-    def _make_dynamics(self, drag: float, iterations: int) -> NodelessDynamics | ParticleDynamics:
+    def _make_dynamics(self, iterations: int) -> NodelessDynamics | ParticleDynamics:
         """Allocate the model of the cables."""
         common = (self._plants, self._worlds, self._size, self.fleet.n, self.device)
         if self.cables == "particles":
-            return ParticleDynamics(*common, self.segments, drag)
+            return ParticleDynamics(*common, self.segments)
         if self.cables == "xpbd":
-            return ParticleDynamics(*common, self.segments, drag, iterations)
-        return NodelessDynamics(*common, self.cables, drag)
+            return ParticleDynamics(*common, self.segments, iterations)
+        return NodelessDynamics(*common, self.cables)
 
     def _go_home(self) -> None:
         """Place the worlds that can rest at home, and flag the others."""

@@ -15,7 +15,13 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, density_of, inverse33
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.device_kernels import Cable
-from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, blow, world_inertia
+from carosac_toolkit.physics.motion.body_kernels import (
+    BodyMotion,
+    DynamicBody,
+    blow,
+    spin_drag,
+    world_inertia,
+)
 from carosac_toolkit.physics.motion.world_kernels import (
     Plants,
     Worlds,
@@ -85,12 +91,12 @@ def half_mass(cable: Cable, length: wp.float64, arc: wp.float64, body: DynamicBo
 
 
 @wp.func
-def predict_nodes(chains: Chains, b: int, s: int, n: int, gravity: wp.float64, h: wp.float64):
+def predict_nodes(chains: Chains, b: int, s: int, n: int, body: DynamicBody, h: wp.float64):
     """Predict all nodes in free fall; `trial` keeps their positions before that [m]."""
     for i in range(n):
         for k in range(chains.segments - 1):
             v = chains.velocity[b, i, k]
-            v = v + h * (wp.vec3d(ZERO, ZERO, -gravity) - chains.drag * v)
+            v = v + h * (wp.vec3d(ZERO, ZERO, -body.gravity) - body.cable_drag * v)
             chains.trial[s, i, k] = chains.position[b, i, k]
             chains.position[b, i, k] = chains.position[b, i, k] + h * v
         for k in range(chains.segments):
@@ -209,7 +215,8 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     velocity = motion.velocity + wp.cross(omega, motion.rotation * start.lever)
     push = gusts.force - body.drag * motion.velocity
     # Wind and drag act on the platform's own centre of mass.
-    moment = -body.angular_drag * omega - wp.cross(motion.rotation * start.lever, push)
+    moment = -spin_drag(body, motion.rotation, omega)
+    moment = moment - wp.cross(motion.rotation * start.lever, push)
     spin = inverse33(start.inverse_inertia) * omega
     moment = moment - wp.cross(omega, spin)
     velocity = velocity + h * (start.inverse_mass * push - wp.vec3d(ZERO, ZERO, body.gravity))
@@ -217,7 +224,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     platform = start
     platform.center = start.center + h * velocity
     platform.rotation = rotation_of(h * omega) * start.rotation
-    predict_nodes(chains, b, s, n, body.gravity, h)
+    predict_nodes(chains, b, s, n, body, h)
     for _j in range(iterations):
         for i in range(n):
             winch = worlds.winch[b, i]

@@ -36,7 +36,7 @@ def parameter_names(n: int) -> dict[str, int]:
     """Return the size of each block of the parameter vector, in order."""
     return {
         "mass": 1, "center": 3, "inertia": 9, "inverse_inertia": 9, "weight": 1, "hang": 3,
-        "drag": 1, "angular_drag": 1, "rotation": 9, "disturbance": 6,
+        "drag": 1, "angular_drag": 3, "rotation": 9, "disturbance": 6,
         "exits": 3 * n, "anchors": 3 * n, "half_weight": n,
     }  # fmt: skip
 
@@ -66,8 +66,9 @@ def parameters(
     body = moving_body(robot, length)
     blocks = (
         body.mass, body.center_of_mass, body.inertia, np.linalg.inv(body.inertia),
-        robot.weight, robot.center_of_mass, robot.drag, robot.angular_drag, rotation.T,
-        disturbance, exits, robot.anchor_points, 0.5 * robot.weight_per_length,
+        robot.weight, robot.center_of_mass, robot.drag,
+        robot.angular_drag * robot.angular_drag_axes, rotation.T, disturbance, exits,
+        robot.anchor_points, 0.5 * robot.weight_per_length,
     )  # fmt: skip
     return np.concatenate([np.ravel(block) for block in blocks])
 
@@ -130,7 +131,7 @@ def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any]
     up = ca.DM([0, 0, 1])
     center, hang = rotation @ block["center"], rotation @ block["hang"]
     force = -block["weight"] * up - block["drag"] * (v + ca.cross(w, hang))
-    moment = ca.cross(hang, force) - block["angular_drag"] * w
+    moment = ca.cross(hang, force) - rotation @ (block["angular_drag"] * (rotation.T @ w))
     exits, anchors = (ca.reshape(block[name], 3, n) for name in ("exits", "anchors"))
     arms = []
     for i in range(n):

@@ -26,7 +26,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.physics.device import lever
-from carosac_toolkit.physics.motion.dynamics import cable_drag_of
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import turn_between, values_of, with_values

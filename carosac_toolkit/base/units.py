@@ -34,6 +34,7 @@ _UNIT_TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "rad": ("angle", {"deg": math.pi / 180.0, "rad": 1.0}),
     "s": ("time", {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}),
     "Hz": ("frequency", {"Hz": 1.0, "kHz": 1e3}),
+    "1/s": ("rate", {"1/s": 1.0}),
     "m/s": ("speed", {"mm/s": 1e-3, "m/s": 1.0, "m/min": 1.0 / 60.0}),
     "m/s^2": ("acceleration", {"mm/s^2": 1e-3, "m/s^2": 1.0}),
     "m/s^2/sqrt(Hz)": ("acceleration density", {"mm/s^2/sqrt(Hz)": 1e-3, "m/s^2/sqrt(Hz)": 1.0}),

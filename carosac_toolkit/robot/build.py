@@ -73,6 +73,8 @@ def build_robot(file: RobotFile) -> Robot:
         inertia=body.inertia,
         drag=file.platform.air_drag.linear,
         angular_drag=file.platform.air_drag.angular,
+        angular_drag_axes=np.array(file.platform.air_drag.angular_axes),
+        cable_drag=file.platform.air_drag.cables,
         gravity=file.gravity,
         workspace_min=np.array(lower),
         workspace_max=np.array(upper),

@@ -58,6 +58,10 @@ Extent = Annotated[float, _reads("m", "> 0")]
 Vector = Annotated[
     tuple[Coordinate, Coordinate, Coordinate], Reads(*list_reader("m", 3, "x, y, z"))
 ]
+Factor = Annotated[float, _reads("1", ">= 0")]
+AxisFactors = Annotated[
+    tuple[Factor, Factor, Factor], Reads(*list_reader("1", 3, "about x, y, z of P"))
+]
 Direction = Annotated[list[float], _direction("x, y, z", 3)]
 Quaternion = Annotated[list[float], _direction("w, x, y, z", 4)]
 Degrees = Annotated[float, _reads("1")]
@@ -119,10 +123,12 @@ class Payload(_Section):
 
 
 class AirDrag(_Section):
-    """Linear air drag of the platform."""
+    """Linear air drag of the platform, and of the cables over their mass."""
 
     linear: Annotated[float, _reads("N*s/m", ">= 0")]
     angular: Annotated[float, _reads("N*m*s/rad", ">= 0")]
+    angular_axes: AxisFactors = (1.0, 1.0, 1.0)
+    cables: Annotated[float, _reads("1/s", ">= 0")] | None = None
 
 
 class Platform(_Section):

@@ -40,8 +40,8 @@ _TEXT_FIELDS = ("name", "description", "licence")
 _WRITABLE_FIELDS = (
     *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_WINCH_PATHS, "exit_points", "exit_covariance",
     "anchor_points", "run_length", "mass", "center_of_mass", "inertia", "drag", "angular_drag",
-    "length_offset", "length_scale", "length_delay", "pose_rotation", "calibrated",
-    "calibration_covariance", "model_error", "provenance",
+    "angular_drag_axes", "cable_drag", "length_offset", "length_scale", "length_delay",
+    "pose_rotation", "calibrated", "calibration_covariance", "model_error", "provenance",
 )  # fmt: skip
 
 
@@ -279,10 +279,14 @@ class _Writer:
             if not same(body.inertia, old.inertia):
                 platform["inertia"] = _matrix(body.inertia)
                 self._from("platform.inertia")
-        for name, key in (("drag", "linear"), ("angular_drag", "angular")):
+        drags = {"drag": "linear", "angular_drag": "angular", "cable_drag": "cables"}
+        for name, key in drags.items():
             if name in changed:
                 platform["air_drag"][key] = _quantity(name, getattr(robot, name))
                 self._from(f"platform.air_drag.{key}")
+        if "angular_drag_axes" in changed:
+            platform["air_drag"]["angular_axes"] = _flow(robot.angular_drag_axes)
+            self._from("platform.air_drag.angular_axes")
 
     def _sensors(self, changed: set[str]) -> None:
         """Write the sensor parameters."""

@@ -13,7 +13,7 @@ from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.shapes import hanging_cables
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement, cable_drag_of
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, Placement
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest.held_lengths import (
@@ -68,8 +68,7 @@ def fleet_motion(
     plants = upload_plants(fleet, _DEVICE, WinchSettings(), 0.0, 1.0)
     size = len(robots)
     worlds = allocate_worlds(size, fleet.n, _DEVICE, np.zeros(size, dtype=np.int32))
-    drag = cable_drag_of(robots[0])
-    dynamics = NodelessDynamics(plants, worlds, size, fleet.n, _DEVICE, "catenary", drag)
+    dynamics = NodelessDynamics(plants, worlds, size, fleet.n, _DEVICE, "catenary")
     dynamics.place(np.arange(size, dtype=np.int32), start, twists)
     longest = FLEET_TIME_STEP.of(Scales(robots[0]).ratios)
     found = FleetMotion(

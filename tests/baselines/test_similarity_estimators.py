@@ -28,7 +28,7 @@ from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop import loop, plugins
 from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Command, Imu, Measurement
-from carosac_toolkit.physics.motion.dynamics import cable_drag_of
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.similar import similar_robot, similarity
 

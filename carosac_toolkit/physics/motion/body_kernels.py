@@ -39,6 +39,8 @@ class DynamicBody:
     inertia: wp.mat33d  # about the centre of mass, axes of P [kg m^2]
     drag: wp.float64  # [N s/m], on the velocity of the centre of mass
     angular_drag: wp.float64  # [N m s/rad]
+    angular_drag_beyond: wp.vec3d  # what is more about each axis of P
+    cable_drag: wp.float64  # per mass of cable [1/s]
     gravity: wp.float64  # [m/s^2], along -z of W
     arm: wp.float64  # typical lever of an anchor point [m]
     size: wp.float64  # typical cable length [m]
@@ -150,6 +152,14 @@ def world_inertia(body: DynamicBody, rotation: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
+def spin_drag(body: DynamicBody, rotation: wp.mat33d, omega: wp.vec3d) -> wp.vec3d:
+    """Return the moment of the air against an angular velocity, both in W [N m]."""
+    about = wp.transpose(rotation) * omega
+    beyond = rotation * wp.cw_mul(body.angular_drag_beyond, about)
+    return body.angular_drag * omega + beyond
+
+
+@wp.func
 def moved(start: BodyMotion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) -> BodyMotion:
     """Return the motion at the end of a step for trial velocities; rates are those at its start."""
     out = start
@@ -173,10 +183,12 @@ def inertial_system(body: DynamicBody, start: BodyMotion, trial: BodyMotion, sch
     spin_felt = rate_felt(scheme, start.spin, start.spin_rate, jw * omega)
     weight = wp.vec3d(ZERO, ZERO, -body.mass * body.gravity)
     out.force = weight + wind - body.drag * v - body.mass * felt
-    out.moment = -body.angular_drag * omega - spin_felt
+    out.moment = -spin_drag(body, trial.rotation, omega) - spin_felt
     unity = wp.identity(n=3, dtype=wp.float64)
     out.tt = (body.mass * scheme.stiff + body.drag / scheme.reach) * unity
     out.rr = scheme.stiff * jw + (body.angular_drag / scheme.reach) * unity
+    beyond = wp.diag(body.angular_drag_beyond / scheme.reach)
+    out.rr = out.rr + trial.rotation * beyond * wp.transpose(trial.rotation)
     return out
 
 

@@ -24,10 +24,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
 from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from carosac_toolkit.physics.scales import CAROSAC_GRAVITY_M_PER_S2, CAROSAC_WORKSPACE_M, Scales
-from carosac_toolkit.robot.robot import Robot
 
-CAROSAC_CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass
 NodelessCables = Literal["catenary", "straight"]
 
 
@@ -65,19 +62,6 @@ class Placement:
             exit_tension=rest.exit_tension[keep],
             at_rest=True,
         )
-
-
-def cable_drag_of(robot: Robot) -> float:
-    """Return the air drag of the cables per mass [1/s].
-
-    Where it is unknown, it is less for a larger robot, and goes by the workspace, which is the same
-    for a robot and all plants drawn from it.
-    """
-    if robot.cable_drag is not None:
-        return robot.cable_drag
-    length = Scales(robot).workspace / CAROSAC_WORKSPACE_M
-    gravity = robot.gravity / CAROSAC_GRAVITY_M_PER_S2
-    return float(CAROSAC_CABLE_DRAG_PER_S / np.sqrt(length / gravity))
 
 
 def place_worlds(
@@ -170,7 +154,6 @@ class NodelessDynamics:
         n: int,
         device: str,
         cables: NodelessCables,
-        drag: float = 0.0,
     ) -> None:
         """Allocate; `place` comes before `advance`.
 
@@ -181,7 +164,6 @@ class NodelessDynamics:
             n: Cables of each.
             device: Warp device.
             cables: The model.
-            drag: Air drag of catenaries per mass [1/s].
         """
         warp_setup.load(dynamics_kernels, device)
         self._plants = plants
@@ -193,7 +175,6 @@ class NodelessDynamics:
         hung.inverse = wp.zeros((size, n), dtype=wp.mat33d, device=device)
         hung.tension = wp.zeros((size, n), dtype=wp.float64, device=device)
         hung.bristles = wp.zeros((size, n), dtype=Bristles, device=device)
-        hung.drag = drag
         self.hung = hung
         before = [plants, worlds, hung, self._model]
         self.advance = Advance(dynamics_kernels.advance, size, before, [], device)

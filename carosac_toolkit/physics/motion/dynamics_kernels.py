@@ -85,7 +85,6 @@ class Hung:
     inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
     tension: wp.array2d(dtype=wp.float64)  # scratch: at the anchor point [N]
     bristles: wp.array2d(dtype=Bristles)  # scratch: at the end of the step
-    drag: wp.float64  # air drag per mass of cable [1/s]
 
 
 @wp.struct
@@ -205,8 +204,8 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
             felt = rate_felt(
                 scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
             )
-            force = force - mass * (felt + hung.drag * velocity)
-            inertia = mass * (scheme.stiff + hung.drag / scheme.reach)
+            force = force - mass * (felt + body.cable_drag * velocity)
+            inertia = mass * (scheme.stiff + body.cable_drag / scheme.reach)
             k = k + inertia * wp.identity(n=3, dtype=wp.float64)
         total = attach(total, arm, force, k)
         if rubs(cable):

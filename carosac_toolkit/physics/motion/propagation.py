@@ -7,7 +7,7 @@ remembers is handed on with a motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import dynamics_kernels
-from carosac_toolkit.physics.motion.dynamics import NodelessDynamics, cable_drag_of
+from carosac_toolkit.physics.motion.dynamics import NodelessDynamics
 from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
@@ -94,11 +94,12 @@ class Propagation:
             robot: Robot description; bodies may be changed later, one for each motion.
             size: Number of motions B.
             time_step: Longest time step [s]; None: 10 ms on ``carosac``, scales with the robot.
-            cable_drag: Air drag of the cables per mass [1/s]; None: 0.5 on ``carosac``, scales with
-                the robot.
+            cable_drag: Air drag of the cables per mass [1/s]; None: that of the robot.
             device: Warp device.
         """
         warp_setup.load(dynamics_kernels, device)
+        if cable_drag is not None:
+            robot = replace(robot, cable_drag=cable_drag)
         self.size, self.n = size, robot.n
         usual = PROPAGATION_STEP.of(Scales(robot).ratios)
         self.time_step = usual if time_step is None else time_step
@@ -106,9 +107,8 @@ class Propagation:
         self._plants = upload_plants(Fleet([robot] * size), device, WinchSettings(), 0.0, 1.0)
         self._bodies = np.repeat(rigid_body_record(robot)[None], size)
         self._worlds = allocate_worlds(size, robot.n, device, np.zeros(size, dtype=np.int32))
-        drag = cable_drag_of(robot) if cable_drag is None else cable_drag
         self._dynamics = NodelessDynamics(
-            self._plants, self._worlds, size, robot.n, device, "catenary", drag
+            self._plants, self._worlds, size, robot.n, device, "catenary"
         )
         self._freed = _allocate(size, robot.n, device)
         self._buffers = Buffers(device, {})

@@ -15,6 +15,7 @@ from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, Gusts, Wind
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.physics.motion.friction_kernels import Bristles
 from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
@@ -38,6 +39,8 @@ def rigid_body_record(robot: Robot) -> NDArray[Any]:
         record[name] = shared[name]
     for name in ("mass", "inertia", "drag", "angular_drag", "gravity"):
         record[name] = getattr(robot, name)
+    record["angular_drag_beyond"] = robot.angular_drag * (robot.angular_drag_axes - 1.0)
+    record["cable_drag"] = cable_drag_of(robot)
     return record
 
 
