@@ -2,8 +2,8 @@
 
 Two files of one machine have the same hash whatever their comments, order of keys, units and
 network addresses; any number that changes what a command does changes it. A field that a later
-version adds to `Robot` counts by itself, but only where it is not 0, so that hashes stay the same
-for robots without the new effect.
+version adds to `Robot` counts by itself, but only where it is not 0, or not the factor 1, so that
+hashes stay the same for robots without the new effect.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ _NOT_OF_THE_MACHINE = (  # texts, where a run starts, uncertainty, sensors of re
     "exit_covariance", "calibrated", "calibration_covariance", "length_offset", "length_scale",
     "length_delay", "pose_rotation", "model_error", "hardware",
 )  # fmt: skip
+_FACTORS = ("angular_drag_axes",)
 
 
 def machine_hash(robot: Robot) -> int:
@@ -42,6 +43,9 @@ def machine_text(robot: Robot) -> str:
     for name in _NOT_OF_THE_MACHINE:
         del values[name]
     values |= {"hardware.sign": hardware.sign, "hardware.scale": hardware.scale}
+    for name in _FACTORS:
+        if np.all(values[name] == 1.0):
+            del values[name]
     known = {k: _rounded(v) for k, v in values.items() if isinstance(v, tuple) or np.any(v)}
     return json.dumps(known, sort_keys=True)
 

@@ -130,6 +130,11 @@ def test_sway_modes_are_damped_by_drag_and_excited_along_their_own_direction():
     assert slow[0] > 20.0 * slow[1:].max() and fast[1] > 20.0 * fast[[0, 2]].max()
     calm = replace(robot, drag=0.0, angular_drag=0.0, axial_damping=np.zeros(4))
     assert sway_modes(calm, rest, 2).damping == pytest.approx(0.0)
+    turning = [
+        sway_modes(replace(calm, angular_drag=1.0, angular_drag_axes=axes), rest, 2).damping
+        for axes in (*np.eye(3), np.ones(3))
+    ]
+    assert sum(turning[:3]) == pytest.approx(turning[3])
 
 
 @pytest.mark.parametrize("settings", [

@@ -99,6 +99,20 @@ def faults(text):
     return caught.value.faults
 
 
+def test_air_drag_about_each_axis_and_of_cables_is_read():
+    drag = "{linear: 0.3 N*s/m, angular: 0.05 N*m*s/rad"
+    robot = parse_robot(changed(drag, f"{drag}, angular_axes: [1, 0.5, 2], cables: 0.8 1/s"))
+    assert robot.angular_drag_axes == pytest.approx([1.0, 0.5, 2.0])
+    assert robot.cable_drag == 0.8
+    plain = ct.load_robot("carosac")
+    assert (plain.angular_drag_axes == 1.0).all() and plain.cable_drag is None
+    found = faults(changed(drag, f"{drag}, angular_axes: [1, -0.5, 2], cables: 0.8 N"))
+    assert any("angular_axes[1]: got -0.5; allowed: a pure number, >= 0" in one for one in found)
+    assert any(
+        "air_drag.cables: got '0.8 N'; allowed: a rate in 1/s; N is a" in one for one in found
+    )
+
+
 def test_all_planted_faults_come_in_one_message_with_their_lines(tmp_path):
     path = tmp_path / "bad.yaml"
     path.write_text(FAULTY)

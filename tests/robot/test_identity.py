@@ -12,7 +12,9 @@ from carosac_toolkit.robot.robot import Robot
 from tests.robots import simple_robot
 
 DRUMS = dict.fromkeys(("drum_radius", "drum_gear", "drum_advantage"), np.full(4, 2.0))
-ROBOT = simple_robot(**DRUMS, drum_buildup=np.full(4, 1e-4), hardware=Hardware.loopback(4))
+ROBOT = simple_robot(
+    **DRUMS, drum_buildup=np.full(4, 1e-4), hardware=Hardware.loopback(4), cable_drag=0.5
+)
 CALIBRATED = ("calibrated", "calibration_covariance")
 OTHER_VALUES = {
     "name": "x", "description": "x", "licence": "x", "provenance": {"x": "y"},

@@ -17,7 +17,8 @@ NAMES = (
     "axial_stiffness[cable1]", "linear_density[cable2]", "axial_damping[cable4]",
     "run_length[cable3]", "length_delay", "pose_tilt.x", "pose_tilt.y", "mass", "drag",
     "angular_drag", "center_of_mass.x", "inertia.xx", "inertia.xy", "inertia.yz",
-    "exit_friction[cable1]", "anchor_friction[cable2]", "length_hysteresis[cable3]",
+    "angular_drag_axes.y", "cable_drag", "exit_friction[cable1]", "anchor_friction[cable2]",
+    "length_hysteresis[cable3]",
 )  # fmt: skip
 TURN = Rotation.from_euler("zyx", [70.0, 3.0, -2.0], degrees=True).as_matrix()
 
@@ -31,6 +32,7 @@ def calibrated_robot(**changes):
         "length_offset": [0.1, -0.2, 0.3, 0.0],
         "length_scale": [1.0, 1.001, 0.999, 1.002],
         "length_delay": 0.03,
+        "cable_drag": 0.4,
         "pose_rotation": TURN,
         "inertia": [[0.6, 0.01, 0.02], [0.01, 0.7, 0.03], [0.02, 0.03, 0.8]],
     }
@@ -161,3 +163,8 @@ def test_parameters_come_once_each():
     with pytest.raises(InvalidField, match=r"parameters\[2\]: got 'mass'; allowed: .* once"):
         check_names(("a",), ["mass", "drag", "mass"])
     check_names(("a.b]",), ["exit_points[a.b]].x"])  # a cable's name may hold anything
+
+
+def test_an_unknown_drag_of_cables_has_no_value():
+    with pytest.raises(InvalidField, match="parameter: got 'cable_drag'; allowed: one that robot"):
+        values_of(simple_robot(), ["cable_drag"])

@@ -51,6 +51,8 @@ def other_numbers(robot, rng):
         inertia=mixed * robot.inertia[0, 0],
         drag=0.123,
         angular_drag=0.0456,
+        angular_drag_axes=near(np.ones(3)),
+        cable_drag=0.321,
         length_offset=rng.normal(0.0, 0.1, n),
         length_scale=near(np.ones(n)),
         length_delay=0.0331,

@@ -231,7 +231,8 @@ def dynamics_oracle(
     """A rigid platform on cables that hang at every moment as if at rest (no axial damping).
 
     Drag is `robot.drag` against the velocity of the centre of mass, there, and
-    `robot.angular_drag` against the angular velocity. With `cable_mass` a third of the mass of
+    `robot.angular_drag` against the angular velocity, times `robot.angular_drag_axes` about the
+    axes of P. With `cable_mass` a third of the mass of
     each cable, rho L(t) / 3, rides at its anchor point, without weight: that is in the cable.
 
     Args:
@@ -266,7 +267,8 @@ def dynamics_oracle(
             body.carry(*riders)
             force = force + np.outer(riders[1] * robot.gravity, UP)
         moment = np.cross(arm, force).sum(axis=0) + np.cross(center, air)
-        total = np.concatenate([force.sum(axis=0) + air, moment - robot.angular_drag * omega])
+        turning = robot.angular_drag * turn @ (robot.angular_drag_axes * x[10:13])
+        total = np.concatenate([force.sum(axis=0) + air, moment - turning])
         return body.derivative(x, total)
 
     start = body.state(position, rotation, twist)

@@ -93,12 +93,51 @@ def test_reported_acceleration_is_the_rate_of_the_twist():
     assert (np.abs(given - rate)[300:] < near).all()
 
 
+@pytest.mark.parametrize("cables", ["straight", "xpbd"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_air_takes_spin_about_each_axis_by_its_own_factor(cables, axis):
+    """About a principal axis spin falls by exp(-t d / I); steps of ``xpbd`` are of first order."""
+    factors, inertia = np.array([0.5, 1.0, 3.0]), np.array([0.5, 0.6, 0.7])
+    robot = replace(
+        simple_robot(inertia=np.diag(inertia), center_of_mass=np.zeros(3)),
+        drag=0.0, angular_drag=1.0, angular_drag_axes=factors,
+        linear_density=np.full(4, 1e-9), cable_drag=0.0,
+    )  # fmt: skip
+    sim = Simulator(robot, cables=cables, time_step=1e-3)
+    about = sim.state.rotation.numpy()[:, :, axis]
+    sim.reset(twist=np.hstack([np.zeros((1, 3)), about]))
+    loose = cut_loose(sim)
+    sim.step(loose, 0.1)
+    before = sim.state.twist.numpy()[0, 3:] @ about[0]
+    sim.step(loose, 0.3)
+    share = sim.state.twist.numpy()[0, 3:] @ about[0] / before
+    assert share == pytest.approx(np.exp(-0.3 * factors[axis] / inertia[axis]), rel=4e-3)
+
+
+@pytest.mark.parametrize("cables", ["catenary", "particles", "xpbd"])
+def test_each_robot_has_the_cable_drag_of_its_file(cables):
+    plain = simple_robot()
+    robots = [replace(plain, cable_drag=drag) for drag in (0.0, 3.0)]
+    options = {"cables": cables, "time_step": 1.0 / 240.0}
+    together = motion_after(robots, 1.0 / 240.0, 0.5, np.repeat(KICK, 2, axis=0), cables)[0]
+    for k, robot in enumerate(robots):
+        alone = motion_after(robot, duration=0.5, twist=KICK, **options)[0]
+        asked = motion_after(plain, duration=0.5, twist=KICK, **options, cable_drag=3.0 * k)[0]
+        for name in ("position", "twist", "tension"):
+            assert np.array_equal(getattr(alone, name), getattr(asked, name))
+            assert np.array_equal(getattr(alone, name)[0], getattr(together, name)[k])
+    assert np.abs(together.twist[0] - together.twist[1]).max() > 1e-3
+
+
 # --- Catenaries --------------------------------------------------------------------------------
 
 
 def test_on_catenaries_the_platform_moves_as_pin_says_to_second_order():
-    """Soft cables, so that steps of 1/100 s resolve the fastest mode."""
-    robot = undamped(lopsided(simple_robot(axial_stiffness=np.full(4, 2e4))))
+    """Soft cables, so that steps of 1/100 s resolve the fastest mode; air about each axis."""
+    robot = replace(
+        undamped(lopsided(simple_robot(axial_stiffness=np.full(4, 2e4)))), drag=8.0,
+        angular_drag=2.0, angular_drag_axes=np.array([0.2, 1.0, 2.5]),
+    )  # fmt: skip
     steps = (1.0 / 100.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 1000.0)
     ends = [motion_after(robot, h, 0.6, KICK, cable_drag=0.0)[0] for h in steps]
     start = Simulator(robot, cables="catenary").state.numpy()

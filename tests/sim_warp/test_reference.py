@@ -299,7 +299,10 @@ def energy(robot, length, position, rotation, twist):
 
 @pytest.mark.parametrize("drag", [0.0, 3.0])
 def test_energy_goes_where_the_drag_takes_it(drag):
-    robot = replace(lopsided(simple_robot()), drag=drag, angular_drag=0.2 * drag)
+    axes = np.array([0.5, 1.0, 2.0])
+    robot = replace(
+        lopsided(simple_robot()), drag=drag, angular_drag=0.2 * drag, angular_drag_axes=axes
+    )
     found = at_home(robot)
     length, times = found.unstrained_length[0], np.linspace(0.0, 0.2, 81)
     twist = np.array([0.2, 0.1, 0.0, 0.2, -0.1, 0.3])
@@ -311,7 +314,8 @@ def test_energy_goes_where_the_drag_takes_it(drag):
     ]
     center = swing.rotation @ robot.center_of_mass
     speed = swing.twist[:, :3] + np.cross(swing.twist[:, 3:], center)
-    power = drag * (speed**2).sum(axis=1) + 0.2 * drag * (swing.twist[:, 3:] ** 2).sum(axis=1)
+    spin = np.einsum("kji,kj->ki", swing.rotation, swing.twist[:, 3:])
+    power = drag * (speed**2).sum(axis=1) + 0.2 * drag * spin**2 @ axes
     lost = [simpson(power[: k + 1], x=times[: k + 1]) if k else 0.0 for k in (0, 20, 50, 80)]
     assert np.subtract(held, held[0]) == pytest.approx(-np.array(lost), abs=1e-6)
     assert (lost[-1] > 0.05) == (drag > 0.0)

@@ -77,6 +77,17 @@ def test_motion_agrees_with_pinocchio():
     assert rate[9:] == pytest.approx(rotation @ a[3:], abs=1e-9)
 
 
+def test_air_brakes_the_turning_about_each_axis_of_the_platform():
+    plain = light(replace(simple_robot(), center_of_mass=np.zeros(3)))
+    factors = np.array([0.5, 1.0, 2.0])
+    airy = replace(plain, angular_drag=0.3, angular_drag_axes=factors)
+    rotation = model.rotation_of(STATE[3:6]) @ TURN
+    braked = evaluate(airy, STATE, TENSION)[0] - evaluate(plain, STATE, TENSION)[0]
+    moment = -0.3 * factors * (rotation.T @ STATE[9:])
+    assert braked[9:] == pytest.approx(rotation @ np.linalg.solve(plain.inertia, moment), abs=1e-9)
+    assert braked[:9] == pytest.approx(np.zeros(9), abs=1e-9)
+
+
 def test_rodrigues_parameters_turn_with_the_angular_velocity():
     rate = evaluate(simple_robot(), STATE, TENSION)[0]
     h = 1e-6

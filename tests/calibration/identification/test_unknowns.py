@@ -103,6 +103,20 @@ def test_all_forces_and_masses_by_one_factor_are_a_straight_line(unknowns):
     assert larger.run_length == pytest.approx(robot.run_length)
 
 
+def test_drags_that_are_factors_belong_to_no_force():
+    settings = IdentificationSettings().with_candidates(["cable_drag", "angular_drag_axes"])
+    chosen = choose_coordinates(ct.load_robot("carosac"), settings)
+    point = np.zeros(len(chosen.prior.names))
+    point[chosen.prior.names.index("cable_drag")] = 1.0
+    point[chosen.prior.names.index("angular_drag_axes.y")] = -1.0
+    robot = chosen.robot_at(point)
+    assert robot.cable_drag == pytest.approx(0.5 * np.e)  # of what is usual for `carosac`
+    assert robot.angular_drag_axes == pytest.approx([1.0, np.exp(-0.5), 1.0])
+    larger = chosen.robot_at(point + chosen.alike)
+    assert larger.cable_drag == robot.cable_drag
+    assert larger.angular_drag_axes == pytest.approx(robot.angular_drag_axes)
+
+
 @pytest.mark.parametrize("held", ["mass", "linear_density", "drag"])
 def test_there_is_no_such_line_where_a_force_or_mass_is_held(held):
     robot = ct.load_robot("carosac")
