@@ -68,6 +68,7 @@ bars: $(STAMP)  ## run the slow acceptance measurements but `learning`; figures 
 	$(BIN)/python -m benchmarks.calibration_hangprinter
 	$(BIN)/python -m benchmarks.calibration_identify
 	$(BIN)/python -m benchmarks.calibration_oscillations
+	$(BIN)/python -m benchmarks.calibration_candidates
 	$(BIN)/python -m benchmarks.estimators
 	$(BIN)/python -m benchmarks.controllers
 	$(BIN)/python -m benchmarks.similarity
