@@ -629,7 +629,7 @@ class Fitter:
         """
         hidden = [np.zeros((size, 0)) for size in sizes]
         which = [k for k, run in enumerate(self._runs) if not len(run.sway.stretch_sigma)]
-        found = hidden_vibrations(
+        drifts = hidden_vibrations(
             self._simulator,
             [self._whole[k] for k in which],
             [self._runs[k] for k in which],
@@ -637,7 +637,7 @@ class Fitter:
             self._unknowns.robot_at(at[: self._count]),
             self._time_step,
         )
-        for k, each in zip(which, found, strict=True):
+        for k, each in zip(which, drifts, strict=True):
             hidden[k] = each
         return hidden
 

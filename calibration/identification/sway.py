@@ -58,8 +58,9 @@ class FreeSway:
         stretch_sigma: Prior sigma of the elongations [m], then of their rates [m/s], shape (2 n,);
             (0,) for a platform that seems to rest, or whose vibrations are not seen.
         guess: Coordinates from which a search begins, shape (2 m + 2 n,) or (2 m,).
-        begin: When the platform starts, before its first pose, on cables that do not vibrate [s];
-            None: at the first reading, on cables as long as at rest.
+        begin: When the platform starts, before its first pose, on cables that do not vibrate, but
+            for elongations among the coordinates [s]; None: at the first reading, on cables as
+            long as at rest.
     """
 
     shape: Array
@@ -207,8 +208,8 @@ def swaying_states(
                 robot, position[calm], rotation[calm], long
             )
             twist[calm] = twists_on_rates(
-                robot, position[calm], rotation[calm], length[calm], rate[calm] + growth,
-                free[calm],
+                robot, position[calm], rotation[calm], length[calm],
+                rate[calm] + faster[calm] + growth, free[calm],
             )  # fmt: skip
     return position, rotation, twist
 

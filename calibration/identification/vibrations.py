@@ -20,21 +20,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
-from scipy.stats import gamma
 
 from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun, sway_degree
 from calibration.identification.sway import stretch_sigma
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.robot.robot import Robot
 
-# Of the prior sigma of elongations, which is twice those at rest: at more than half of it cables
-# would hang loose.
-PROBE = 0.03  # little enough that poses follow in proportion
-LEVELS = np.geomspace(1e-3, 0.5, 60)
-SEEN_WINDOWS = 2.0  # at first, in which vibrations are looked for: for longer, phases are lost
+# Levels of vibrations are of the prior sigma of elongations, which is twice those at rest.
+PROBE = 0.03  # level so low that poses follow in proportion
+SLACK = 0.5  # elongations at which a cable hangs loose in between
+SEEN_WINDOWS = 2.0  # in which vibrations are looked for: for longer, phases are lost
+SEEN_SIGMAS = 3.0  # of the power that noise explains: more are vibrations for sure
+FREEDOMS_MIN = 4.0  # of poses that tell a level, for each way to vibrate
 REFINED = 2  # steps that those of a sway are divided into, for what vibrates
+HALVINGS_MAX = 3  # of a level at which a platform has no finite motion
 SEED = 0
 
 
@@ -70,6 +72,44 @@ class VibratingStarts:
         vibrating = level * np.concatenate([none, self.ways])
         return np.hstack([np.tile(at, (len(vibrating), 1)), vibrating])
 
+    @property
+    def highest(self) -> float:
+        """The level at which a cable hangs loose in between, in one of the ways."""
+        elongation, rate = np.split(self.ways, 2, axis=1)
+        return SLACK / float(np.hypot(elongation, rate).max())
+
+    def level(self, errors: Array) -> float:
+        """Return the level from which poses come, by the power that vibrations explain.
+
+        Of coordinates of variance L^2, a regression on the d = 2 n ways explains d + L^2 tr(A) / d
+        in the mean, in variances of noise, where A is the information on coefficients of the ways.
+        What is more than d is never taken for less than its sigma without vibrations. Where poses
+        tell nothing, as vibrations die out before they count or poses are too few, the level is the
+        highest; vibrations that are seen may let cables hang loose for a moment.
+
+        Args:
+            errors: At the level `PROBE`, as of `points`, of all poses, shape (1 + 2 n, K, 6).
+        """
+        missed, freedoms = _fast(self.run, -errors[0])
+        count = len(self.ways)
+        if 6 * freedoms < FREEDOMS_MIN * count:
+            return self.highest
+        slopes = _fast(self.run, errors[1:] - errors[0])[0].reshape(count, -1).T / PROBE
+        left = missed
+        for fitted in (0, count):  # vibrations that are seen are no noise
+            power = (left.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2))
+            sides = np.sqrt(power / (3 * freedoms - 0.5 * fitted))  # of positions, rotations
+            sigma = np.tile(np.repeat(sides, 3), len(missed))
+            best = np.linalg.lstsq(slopes / sigma[:, None], missed.ravel() / sigma, rcond=None)[0]
+            left = missed - (slopes @ best).reshape(missed.shape)
+        explained = float(((slopes @ best / sigma) ** 2).sum())
+        told = float(((slopes / sigma[:, None]) ** 2).sum()) / count
+        chance = float(np.sqrt(2.0 * count))
+        strength, limit = max(explained - count, chance), self.highest
+        if strength > SEEN_SIGMAS * chance:
+            limit = SLACK
+        return float(np.sqrt(strength / max(told, strength / limit**2)))
+
 
 def hidden_vibrations(
     simulator: RunSimulator,
@@ -91,6 +131,9 @@ def hidden_vibrations(
 
     Returns:
         Of each run, shape (6 K, 2 n).
+
+    Raises:
+        CarosacError: A platform has no finite motion, as little as it vibrates.
     """
     rng = np.random.default_rng(SEED)
     starts = [VibratingStarts.of(run, robot, rng) for run in runs]
@@ -102,49 +145,46 @@ def hidden_vibrations(
         every = [start.run for start in starts]
         return simulator.pose_errors(every, points, time_step, refined=REFINED)
 
-    probed, _ = errors_at([PROBE] * len(runs))
-    levels = [vibration_level(run, errors) for run, errors in zip(runs, probed, strict=True)]
-    found = []
-    for run, part, errors, exists in zip(runs, counted, *errors_at(levels), strict=True):
+    probed, sound = errors_at([PROBE] * len(runs))
+    if not all(each.all() for each in sound):
+        raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
+    levels = [start.level(errors) for start, errors in zip(starts, probed, strict=True)]
+    for _ in range(HALVINGS_MAX):
+        vibrating, sound = errors_at(levels)
+        lost = [not each.all() for each in sound]
+        if not any(lost):
+            break
+        levels = [
+            max(PROBE, level / 2.0) if half else level
+            for level, half in zip(levels, lost, strict=True)
+        ]
+    else:
+        raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
+    drifts = []
+    for run, part, errors in zip(runs, counted, vibrating, strict=True):
         rows = np.isin(run.poses.time, part.poses.time)
         calm, *others = [part.seen(each[rows]).ravel() for each in errors]
-        drifts = np.where(exists[1:], np.array(others).T - calm[:, None], 0.0)
-        found.append(drifts / np.sqrt(max(1, exists[1:].sum())))
-    return found
+        drifts.append((np.array(others) - calm).T / np.sqrt(len(others)))
+    return drifts
 
 
-def vibration_level(run: FittedRun, errors: Array) -> float:
-    """Return how strongly a platform vibrates at its start, of prior sigmas.
-
-    The root of the mean square of all levels from which its poses may come, each as likely before.
+def _fast(run: FittedRun, errors: Array) -> tuple[Array, int]:
+    """Return what no sway makes of errors, from the first poses that count on.
 
     Args:
         run: With all poses.
-        errors: Without vibrations first, then with each of those that are probed, (1 + d, K, 6).
+        errors: Of these, shape (..., K, 6).
+
+    Returns:
+        shape (..., K', 6); and how many freedoms are left of each component.
     """
-    missed, ways = _fast(run, -errors[0]), _fast(run, errors[1:] - errors[0]) / PROBE
-    slopes, left = ways.reshape(len(ways), -1).T, missed
-    for _ in range(2):  # vibrations that are seen are no noise
-        sides = np.sqrt((left.reshape(-1, 2, 3) ** 2).mean(axis=(0, 2)))
-        sigma = np.tile(np.repeat(sides, 3), len(missed))
-        best = np.linalg.lstsq(slopes / sigma[:, None], missed.ravel() / sigma, rcond=None)[0]
-        left = missed - (slopes @ best).reshape(missed.shape)
-    over = slopes / sigma[:, None]
-    told = np.linalg.eigvalsh(over.T @ over)
-    power = float(((slopes @ best / sigma) ** 2).sum())  # that vibrations explain
-    grown = 1.0 + LEVELS[:, None] ** 2 * told  # mean of its parts, which noise alone has as 1
-    mean, variance = grown.sum(axis=1), 2.0 * (grown**2).sum(axis=1)
-    logarithm = gamma.logpdf(power, mean**2 / variance, scale=variance / mean)
-    likely = np.exp(logarithm - logarithm.max()) * LEVELS  # levels come at equal ratios
-    return float(np.sqrt((likely * LEVELS**2).sum() / likely.sum()))
-
-
-def _fast(run: FittedRun, errors: Array) -> Array:
-    """Return what no sway makes of errors (..., K, 6), of poses that count first, (..., K', 6)."""
-    time = run.poses.time - run.poses.time[0] - run.leading
+    since = run.poses.time - run.poses.time[0] - run.leading
+    time = since - np.min(since, where=since >= 0.0, initial=np.inf)
     rows = (time >= 0.0) & (time <= SEEN_WINDOWS * run.window)
-    first, last = time[rows][[0, -1]]
-    degree = sway_degree(last - first, float(run.sway.frequency.max()) / (2.0 * np.pi))
-    basis = np.linalg.qr(legvander(2.0 * (time[rows] - first) / (last - first) - 1.0, degree))[0]
+    span = float(time[rows][-1])
+    degree = sway_degree(span, float(run.sway.frequency.max()) / (2.0 * np.pi))
+    if rows.sum() <= degree + 1:
+        return errors[..., :0, :], 0
+    basis = np.linalg.qr(legvander(2.0 * time[rows] / span - 1.0, degree))[0]
     seen = errors[..., rows, :]
-    return np.asarray(seen - basis @ (basis.T @ seen))
+    return np.asarray(seen - basis @ (basis.T @ seen)), int(rows.sum()) - degree - 1
