@@ -37,6 +37,7 @@ SEEN_SIGMAS = 3.0  # of the power that noise explains: more are vibrations for s
 FREEDOMS_MIN = 4.0  # of poses that tell a level, for each way to vibrate
 REFINED = 2  # steps that those of a sway are divided into, for what vibrates
 HALVINGS_MAX = 3  # of a level at which a platform has no finite motion
+TINY = 1e-12  # instead of no information
 SEED = 0
 
 
@@ -105,10 +106,10 @@ class VibratingStarts:
         explained = float(((slopes @ best / sigma) ** 2).sum())
         told = float(((slopes / sigma[:, None]) ** 2).sum()) / count
         chance = float(np.sqrt(2.0 * count))
-        strength, limit = max(explained - count, chance), self.highest
-        if strength > SEEN_SIGMAS * chance:
-            limit = SLACK
-        return float(np.sqrt(strength / max(told, strength / limit**2)))
+        strength = max(explained - count, chance)
+        level = float(np.sqrt(strength / max(told, TINY)))
+        seen = strength > SEEN_SIGMAS * chance and level < 2.0 * SLACK
+        return min(level, SLACK if seen else self.highest)
 
 
 def hidden_vibrations(

@@ -96,3 +96,71 @@ def level_of(simulator, plant, run, at):
     points = start.points(at, PROBE)
     (errors,), _ = simulator.pose_errors([start.run], [points], STEP_S, refined=REFINED)
     return start.level(errors)
+
+
+def drift_of(simulator, plant, run, at):
+    """Return V of a run, and what averages of its poses miss."""
+    robot = simulator._unknowns.robot_at(at[: simulator._count])
+    (hidden,) = hidden_vibrations(simulator, [run], [run], [at], robot, STEP_S)
+    (errors,), _ = simulator.pose_errors([run], [at[None]], STEP_S, refined=REFINED)
+    return hidden, run.seen(errors[0]).ravel()
+
+
+def test_each_elongation_and_each_rate_lets_the_platform_vibrate(simulator, plant, run, at):
+    start = VibratingStarts.of(run, plant, np.random.default_rng(0))
+    each = np.eye(len(start.ways))
+    points = np.hstack([np.tile(at, (1 + len(each), 1)), PROBE * np.vstack([0.0 * each[:1], each])])
+    (errors,), _ = simulator.pose_errors([start.run], [points], STEP_S, refined=REFINED)
+    moved = np.sqrt(((errors[1:] - errors[0]) ** 2).mean(axis=(1, 2)))
+    assert moved.min() > 0.3 * moved.max()
+
+
+@pytest.mark.parametrize("leading", [0.0, 1.0])
+def test_poses_together_say_how_strongly_a_platform_vibrates(simulator, plant, run, at, leading):
+    """Few poses show it one by one: noise is as large."""
+    runs = {
+        level: [
+            vibrating(simulator, plant, run, at, level, np.random.default_rng(seed))
+            for seed in range(6)
+        ]
+        for level in (0.0, 0.05, 0.15)
+    }
+    found = {
+        level: [level_of(simulator, plant, replace(one, leading=leading), at) for one in each]
+        for level, each in runs.items()
+    }
+    print("XX", found)
+    assert np.sqrt(np.mean(np.square(found[0.15]))) == pytest.approx(0.15, rel=0.3)
+    assert np.sqrt(np.mean(np.square(found[0.05]))) == pytest.approx(0.05, rel=0.3)
+    assert 0.0 < np.max(found[0.0]) < 0.02  # noise may hide as much
+
+
+@pytest.mark.parametrize("since", [0.0, 1.0])
+def test_poses_that_are_missing_tell_nothing_or_less(simulator, plant, run, at, since):
+    """Where too few are left, as much is possible as keeps cables taut."""
+    noisy = vibrating(simulator, plant, run, at, 0.05, np.random.default_rng(0))
+    time = noisy.poses.time - noisy.poses.time[0]
+    there = (time >= since) & ((time > 3.0) | (np.arange(len(time)) % 20 == 0))
+    few = replace(noisy, poses=noisy.poses.rows(np.flatnonzero((time == 0.0) | there)))
+    start = VibratingStarts.of(few, plant, np.random.default_rng(0))
+    assert level_of(simulator, plant, few, at) == start.highest < 0.5
+    hidden, drift = drift_of(simulator, plant, few, at)
+    assert hidden.shape == (len(drift), 2 * plant.n) and np.isfinite(hidden).all()
+
+
+def test_a_sway_drifts_within_what_hidden_vibrations_may_change(simulator, plant, run, at):
+    """Against sigmas of averages the drift of vibrating platforms is large, and beside V not."""
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        other = vibrating(simulator, plant, run, at, 0.2, rng)
+        hidden, drift = drift_of(simulator, plant, other, at)
+        noise = NOISE * rng.standard_normal((len(other.poses.time), 6))
+        variance = np.var(other.seen(noise))
+        covariance = variance * np.eye(len(drift)) + hidden @ hidden.T
+        each = [drift @ drift / variance, drift @ np.linalg.solve(covariance, drift)]
+        shares.append(np.array(each) / len(drift))
+    alone, beside = np.mean(shares, axis=0)
+    print("XX", alone, beside)
+    assert alone > 3.0
+    assert beside - 1.0 < 0.2 * (alone - 1.0)
