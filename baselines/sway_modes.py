@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -40,7 +41,8 @@ def sway_modes(robot: Robot, rest: Equilibrium, count: int) -> SwayModes:
         count: How many modes.
 
     Returns:
-        Modes, damped by the air drag of the platform and the axial damping of straight cables.
+        Modes, damped by the air drag of the platform and of the third of each cable that rides with
+        it, and by the axial damping of straight cables.
     """
     modes = natural_modes(robot, rest)
     shape = modes.shape[:, :, :count]  # (B, 6, K)
@@ -51,6 +53,10 @@ def sway_modes(robot: Robot, rest: Equilibrium, count: int) -> SwayModes:
     about = spin @ rest.rotation  # along the axes of P
     power = robot.drag * (velocity**2).sum(axis=2)
     power = power + robot.angular_drag * (about**2 @ robot.angular_drag_axes)
+    riding = cable_drag_of(robot) * robot.linear_density * rest.unstrained_length / 3.0  # (B, n)
+    arms = robot.anchor_points @ rest.rotation.swapaxes(1, 2)  # (B, n, 3)
+    moved = shape[:, :3].swapaxes(1, 2)[:, None] + np.cross(spin[:, None], arms[:, :, None])
+    power = power + np.einsum("bn,bnki->bk", riding, moved**2)
     structure = structure_matrix(robot, rest.position, rest.rotation)
     stretch = structure.swapaxes(1, 2) @ shape  # (B, n, K)
     rate = robot.axial_damping / (rest.unstrained_length + robot.run_length)  # (B, n) [N s/m]

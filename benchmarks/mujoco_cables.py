@@ -74,7 +74,7 @@ class MujocoCables:
         self._nodes = np.arange(7, 7 + 3 * robot.n * (segments - 1))  # in qpos; one less in qvel
         self.model.opt.iterations = max(20, 5 * segments)
         self.model.dof_damping[:3] = robot.drag
-        self.model.dof_damping[3:6] = robot.angular_drag
+        self.model.dof_damping[3:6] = robot.angular_drag * robot.angular_drag_axes  # of P
 
     def reset(self, position: Array, rotation: Array, unstrained_length: Array) -> None:
         """Put the platform there at rest, and the nodes on the hanging cables.

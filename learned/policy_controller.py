@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,6 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
 from learned.bundled_files import find_bundled, list_bundled
@@ -238,6 +239,7 @@ def differing_fields(trained: Robot, robot: Robot, *, moving: bool) -> list[str]
         moving: Whether it was trained in real time, and depends on what makes motion, too.
     """
     needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS if moving else TRAINED_FIELDS
+    trained, robot = (replace(each, cable_drag=cable_drag_of(each)) for each in (trained, robot))
     return [name for name in needed if not same(getattr(trained, name), getattr(robot, name))]
 
 

@@ -2,8 +2,8 @@
 
 Two files of one machine have the same hash whatever their comments, order of keys, units and
 network addresses; any number that changes what a command does changes it. A field that a later
-version adds to `Robot` counts by itself, but only where it is not 0, or not the factor 1, so that
-hashes stay the same for robots without the new effect.
+version adds to `Robot` counts by itself, but only where it is not 0, or what it is where a file
+says nothing, so that hashes stay the same for robots without the new effect.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NOT_OF_THE_MACHINE = (  # texts, where a run starts, uncertainty, sensors of re
     "exit_covariance", "calibrated", "calibration_covariance", "length_offset", "length_scale",
     "length_delay", "pose_rotation", "model_error", "hardware",
 )  # fmt: skip
-_FACTORS = ("angular_drag_axes",)
+_USUAL: dict[str, Any] = {"angular_drag_axes": 1.0, "cable_drag": None}  # where it is not 0
 
 
 def machine_hash(robot: Robot) -> int:
@@ -43,11 +43,15 @@ def machine_text(robot: Robot) -> str:
     for name in _NOT_OF_THE_MACHINE:
         del values[name]
     values |= {"hardware.sign": hardware.sign, "hardware.scale": hardware.scale}
-    for name in _FACTORS:
-        if np.all(values[name] == 1.0):
-            del values[name]
-    known = {k: _rounded(v) for k, v in values.items() if isinstance(v, tuple) or np.any(v)}
+    known = {k: _rounded(v) for k, v in values.items() if _counts(k, v)}
     return json.dumps(known, sort_keys=True)
+
+
+def _counts(name: str, value: Any) -> bool:
+    """Return whether a field is other than without its effect."""
+    if name in _USUAL:
+        return not np.all(value == _USUAL[name])
+    return isinstance(value, tuple) or bool(np.any(value))
 
 
 def _rounded(value: Any) -> Any:

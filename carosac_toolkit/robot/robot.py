@@ -307,6 +307,8 @@ class Robot:
         if self.calibrated is None:
             return
         check_names(self.cable_names, self.calibrated)
+        if "cable_drag" in self.calibrated and self.cable_drag is None:
+            raise InvalidField("calibrated", "'cable_drag'", "what the robot has: it has none")
         object.__setattr__(self, "calibrated", tuple(self.calibrated))
         count = len(self.calibrated)
         set_frozen(self, {"calibration_covariance": (count, count)})

@@ -281,7 +281,10 @@ class _Writer:
                 self._from("platform.inertia")
         drags = {"drag": "linear", "angular_drag": "angular", "cable_drag": "cables"}
         for name, key in drags.items():
-            if name in changed:
+            if name in changed and getattr(robot, name) is None:
+                del platform["air_drag"][key]
+                self._drop_provenance(f"platform.air_drag.{key}")
+            elif name in changed:
                 platform["air_drag"][key] = _quantity(name, getattr(robot, name))
                 self._from(f"platform.air_drag.{key}")
         if "angular_drag_axes" in changed:

@@ -20,6 +20,8 @@ from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.modes import natural_modes
+from sim_warp import Simulator
 from sim_warp.driver import SimDriver, SimDriverSettings
 from tests.robots import eight_cable_robot, hanging, simple_robot
 
@@ -128,13 +130,36 @@ def test_sway_modes_are_damped_by_drag_and_excited_along_their_own_direction():
     assert (modes.damping > 0.0).all() and (modes.damping < 0.02).all()
     slow, fast = np.abs(modes.excitation[0])
     assert slow[0] > 20.0 * slow[1:].max() and fast[1] > 20.0 * fast[[0, 2]].max()
-    calm = replace(robot, drag=0.0, angular_drag=0.0, axial_damping=np.zeros(4))
+    calm = replace(
+        robot, drag=0.0, angular_drag=0.0, axial_damping=np.zeros(4), cable_drag=0.0
+    )  # fmt: skip
     assert sway_modes(calm, rest, 2).damping == pytest.approx(0.0)
     turning = [
         sway_modes(replace(calm, angular_drag=1.0, angular_drag_axes=axes), rest, 2).damping
         for axes in (*np.eye(3), np.ones(3))
     ]
     assert sum(turning[:3]) == pytest.approx(turning[3])
+
+
+@pytest.mark.parametrize("air", [{"cable_drag": 3.0}, {"drag": 1.0}])
+def test_a_sway_decays_in_the_simulation_as_its_mode_is_damped(air):
+    still = {"drag": 0.0, "angular_drag": 0.0, "axial_damping": np.zeros(4), "cable_drag": 0.0}
+    robot = replace(simple_robot(), **(still | air))
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    modes = sway_modes(robot, rest, 1)
+    shape = natural_modes(robot, rest).shape[0, :, 0]
+    shape = shape / np.linalg.norm(shape[:3])
+    simulator = Simulator(robot, cables="catenary", time_step=1.0 / 200.0)
+    simulator.reset(rest.position, twist=0.05 * shape[None])
+    hold, speed = np.array(simulator.state.unstrained_length.numpy()), []
+    for _ in range(1200):
+        simulator.step(hold, 0.02)
+        speed.append(simulator.state.twist.numpy()[0] @ shape)
+    speed = np.array(speed)
+    top = 1 + np.flatnonzero((speed[1:-1] > speed[:-2]) & (speed[1:-1] >= speed[2:]))
+    rate = -np.polyfit(0.02 * top, np.log(speed[top]), 1)[0]
+    damping = rate / (2.0 * np.pi * modes.frequency[0, 0])
+    assert damping == pytest.approx(modes.damping[0, 0], rel=5e-3)
 
 
 @pytest.mark.parametrize("settings", [

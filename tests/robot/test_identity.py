@@ -75,6 +75,12 @@ def test_every_number_of_the_machine_changes_the_hash_and_nothing_else_does(name
     assert machine_hash(changed) != machine_hash(ROBOT)
 
 
+def test_no_drag_is_another_machine_than_the_usual_one():
+    plain = replace(ROBOT, cable_drag=None)
+    assert machine_hash(replace(ROBOT, cable_drag=0.0)) != machine_hash(plain)
+    assert machine_hash(replace(ROBOT, angular_drag_axes=np.zeros(3))) != machine_hash(ROBOT)
+
+
 def test_of_the_connection_sign_and_scale_count_and_addresses_and_offset_do_not():
     hardware = ROBOT.hardware
 

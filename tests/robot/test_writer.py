@@ -95,6 +95,15 @@ def test_an_unchanged_robot_leaves_every_value_and_comment_of_its_file(name):
     assert SOURCE not in document
 
 
+def test_a_drag_of_cables_that_is_no_longer_known_leaves_the_file():
+    text = robot_text("carosac")
+    plain = parse_robot(text)
+    with_drag = robot_document(text, replace(plain, cable_drag=0.8), provenance=SOURCE)
+    assert parse_robot(with_drag).cable_drag == 0.8
+    without = robot_document(with_drag, plain, provenance=SOURCE)
+    assert parse_robot(without).cable_drag is None and "cables: 0.8" not in without
+
+
 def comments(text):
     return [line.partition("#")[2].strip() for line in text.splitlines() if "#" in line]
 

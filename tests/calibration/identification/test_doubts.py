@@ -54,6 +54,27 @@ def test_doubt_is_a_further_covariance_of_what_is_predicted():
     assert np.linalg.norm(doubts.precision - precision) < 0.01 * np.linalg.norm(precision)
 
 
+def test_what_is_hidden_is_a_further_covariance_too():
+    rng = np.random.default_rng(4)
+    runs = [draw_run(rng, wrong=0.3) for _ in range(3)]
+    columns = [0.5 * rng.standard_normal((ERRORS, k)) for k in (2, 0, 3)]
+    hidden = [
+        RunDerivatives(**(vars(run) | {"hidden": each}))
+        for run, each in zip(runs, columns, strict=True)
+    ]
+    doubts, plain = Doubts.of(hidden, PRIOR), Doubts.of(runs, PRIOR)
+    assert np.linalg.eigvalsh(plain.precision - doubts.precision)[0] > -1e-9  # it tells less
+    left = rng.standard_normal((ERRORS, 4))
+    for k, run in enumerate(hidden):
+        wrong, beyond = np.split(doubts.slopes[k], [ROBOT], axis=1)
+        assert beyond.shape == columns[k].shape
+        covariance = np.diag(1.0 / run.weights) + beyond @ beyond.T
+        covariance += wrong @ np.linalg.solve(doubts.precision, wrong.T)
+        kept = left.T @ np.linalg.solve(covariance, left)
+        weighted = left.T @ (run.weights[:, None] * left)
+        assert weighted - doubts.lost(k, run.weights, left, left) == pytest.approx(kept)
+
+
 def test_a_start_makes_up_for_what_moves_the_platform_alike():
     rng = np.random.default_rng(2)
     run = draw_run(rng, wrong=0.0)
