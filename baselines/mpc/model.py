@@ -11,8 +11,9 @@ origin [m/s]; angular velocity w [rad/s], in W. Input u (n): tension along each 
           J \dot\omega = \tau_c - \omega \times J \omega + J d_\omega, \qquad
           \dot v = F / m - \dot\omega \times c - \omega \times (\omega \times c) + d_v
 
-with c from the origin to the centre of mass, F and the moment about it from cables, weight and air
-drag, and an acceleration d (6) that the observer adds for what the model does not know.
+with c from the origin to the centre of mass, F and the moment about it from cables, weight and the
+air drag of the platform, and an acceleration d (6) that the observer adds for what the model does
+not know, such as the air drag of cables.
 
 References:
     Schaub, Junkins, *Analytical Mechanics of Space Systems*, AIAA, 2018, section 3.6.
