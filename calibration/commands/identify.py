@@ -89,7 +89,7 @@ class Options(CommonOptions):
     """Parameters that are kept only where cross-validation wants them, such as inertia_products,
     angular_drag_axes and cable_drag, and else stay as in the robot file; takes twice as long."""
     output: OutputFile = None
-    """Write the identified robot to this YAML file; never over the old one."""
+    """Write the identified robot to this YAML file; over another one, but not over --robot."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for pictures and report.html; by default one in carosac-results/identify."""
 

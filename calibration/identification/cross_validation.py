@@ -36,24 +36,31 @@ class Candidate:
         kept: True if they are.
         gain: Share by which squared errors of what is held out fall with them.
         error: Standard error of it.
+        together: True if that is of all candidates together, none of which could be left.
     """
 
     name: str
     kept: bool
     gain: float
     error: float
+    together: bool = False
 
     @property
     def words(self) -> str:
         """What it says, for people."""
         verdict = "kept" if self.kept else "left as in the robot file"
+        if self.together:
+            verdict = "kept, as a fit without those to be left predicts worse than with all"
         way = "smaller" if self.gain >= 0.0 else "larger"
         share, error = 100.0 * abs(self.gain), 100.0 * self.error
         return f"{self.name} {verdict}: {share:.2g} % {way}, give or take {error:.2g} %"
 
     def data(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON."""
-        return {"kept": self.kept, "gain": self.gain, "gain_sigma": self.error}
+        return {
+            "kept": self.kept, "gain": self.gain, "gain_sigma": self.error,
+            "together": self.together,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,7 +124,9 @@ class Folds:
         total = float(without_them.sum())
         gain = float(gains.sum())  # of all of them together
         return tuple(
-            one if one.kept else replace(one, kept=True, gain=gain / total, error=error / total)
+            one
+            if one.kept
+            else replace(one, kept=True, gain=gain / total, error=error / total, together=True)
             for one in judged
         )
 

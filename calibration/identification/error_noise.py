@@ -67,13 +67,18 @@ class PoseErrorNoise:
         return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
 
-def estimate_noise(errors: Sequence[Array]) -> PoseErrorNoise:
-    """Estimate the noise from errors of each run, shape (K, 6)."""
+def estimate_noise(errors: Sequence[Array], *, apart: bool | None = None) -> PoseErrorNoise:
+    """Estimate the noise from errors of each run, shape (K, 6).
+
+    Args:
+        errors: Of each run.
+        apart: Whether runs are many, also where some were left out since; None: by their number.
+    """
     together = np.concatenate(errors)
     typical = np.median(np.abs(together), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((together**2).mean(axis=0))
     sigma = np.minimum(rms, 1.5 * typical)
-    if len(errors) >= RUNS_APART_MIN:
+    if len(errors) >= RUNS_APART_MIN if apart is None else apart:
         pooled = np.repeat(np.sqrt((sigma.reshape(2, 3) ** 2).mean(axis=1)), 3)
         return PoseErrorNoise(
             sigma=np.maximum(MANY_SIGMA_SHARE * SIGMA_MIN, pooled), repeats=np.ones(6), apart=True

@@ -740,7 +740,7 @@ class Fitter:
 
     def _noise(self, errors: Sequence[Array]) -> PoseErrorNoise:
         """Return the noise of errors of each run (K, 6)."""
-        return estimate_noise([errors[k] for k in self._kept])
+        return estimate_noise([errors[k] for k in self._kept], apart=self._many)
 
     def _cost(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
         """Return the cost of errors of all runs, with all else that is known."""

@@ -53,6 +53,7 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
@@ -284,21 +285,23 @@ def _identify(
     estimate = unknowns.estimate(fit.coordinates, fit.spread)
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
-    judged = _model_error(identified, runs, after)
+    told = [k for k in range(len(runs)) if k not in fit.left_out]  # the fitted ones are the first
+    parts_told, old_told, new_told = ([each[k] for k in told] for each in (runs, before, after))
+    judged = _model_error(identified, parts_told, new_told)
     compared = (
         None if frequencies is None else ComparedFrequencies.of(frequencies, robot, identified)
     )
-    against_mean = _against_mean(robot, runs, after)
-    scored = _scored(runs, before, after, "test")
-    unfollowed = tuple(runs[k].part.name for k in fit.left_out)  # the fitted ones are the first
-    trained_scores = _scored(runs, before, after, "train")
+    against_mean = _against_mean(robot, parts_told, new_told)
+    scored = _scored(parts_told, old_told, new_told, "test")
+    unfollowed = tuple(runs[k].part.name for k in fit.left_out)
+    trained_scores = _scored(parts_told, old_told, new_told, "train")
     assert trained_scores is not None, "something was fitted"
     return Identification(
         before=robot,
         warnings=(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
-            *_turned_body(runs, after),
+            *_turned_body(parts_told, new_told),
             *(() if compared is None else compared.warnings()),
         ),
         estimate=estimate,
@@ -485,6 +488,8 @@ def _check(part: _Part, robot: Robot) -> MeasuredPoses:
     if train is not None and test is not None and max(train[0], test[0]) < min(train[1], test[1]):
         allowed = f"samples outside of train = {train[0]}:{train[1]}"
         raise InvalidField("test", f"{test[0]}:{test[1]}", allowed)
+    if recording.poses is None:
+        raise InvalidField(part.name, "no poses", POSE_COLUMNS_TEXT)
     material = calibrated(recording, robot)
     poses = poses_of(material)
     for name, span in (("train", train), ("test", test)):
@@ -685,9 +690,13 @@ def _turned_body(runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]
 
 
 def _rests(run: _Run, robot: Robot, identified: Robot, rate: float) -> RestErrors:
-    """Compare the mean pose of each rest with the mean equilibrium of its lengths."""
+    """Compare the mean pose of each rest with the mean equilibrium of its lengths.
+
+    While a platform swings on locked winches, its mean pose is not that.
+    """
     recording, poses = run.part.recording, run.poses.thinned(rate)
-    rests = find_phases(recording.time, recording.unstrained_length).rests
+    swings = run.fitted.sway.begin is not None
+    rests = () if swings else find_phases(recording.time, recording.unstrained_length).rests
     spans = [rows for a, b in rests if len(rows := _rows(poses, a, b))]
     first = [int(poses.index[rows[0]]) for rows in spans]
     distances = []

@@ -332,7 +332,8 @@ class Identification(CalibrationResult):
     def _each_run(self) -> list[str]:
         """Say how the recordings differ."""
         moving = sum(run.first_motion.moves for run in self.runs)
-        errors = [run.rmse[1] for run in self.runs]
+        followed = [run for run in self.runs if run.name not in self.unfollowed]
+        errors = [run.rmse[1] for run in followed]
         worst = int(np.argmax(errors))
         shaken = [run.left_out for run in self.runs if run.left_out > 0.0]
         left_out = [
@@ -343,7 +344,7 @@ class Identification(CalibrationResult):
             f"{moving} of {len(self.runs)} recordings begin in motion; the start of each was "
             "estimated beside the robot",
             f"RMS errors of the recordings: {np.median(errors) * 1e3:.1f} mm in the median, "
-            f"{errors[worst] * 1e3:.1f} mm at worst ({self.runs[worst].name})",
+            f"{errors[worst] * 1e3:.1f} mm at worst ({followed[worst].name})",
             *(left_out if shaken else []),
         ]
 
@@ -368,7 +369,10 @@ class Identification(CalibrationResult):
         if not self.candidates:
             return []
         words = "; ".join(one.words for one in self.candidates)
-        return [f"squared errors of what cross-validation holds out, with candidates: {words}"]
+        return [
+            "squared errors of what cross-validation holds out, with candidates, which are kept "
+            f"where these fall by more than their standard error: {words}"
+        ]
 
     def _claims(self) -> list[str]:
         """Say what estimators will claim of this robot."""

@@ -12,6 +12,8 @@ from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.inspection.report import RobotReport
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ def describe(report: RobotReport) -> Iterator[str]:
         f"platform    {robot.mass:g} kg ({robot.weight:.1f} N), centre of mass "
         f"{_vector(robot.center_of_mass)} m, principal inertia {_vector(moments)} kg m^2"
     )
+    yield f"air drag    {_air_drag(robot)}"
     plane = (
         "; two cables let it rest in one vertical plane only" if robot.n == SURFACE_CABLES else ""
     )
@@ -57,6 +60,17 @@ def describe(report: RobotReport) -> Iterator[str]:
     yield ""
     yield "where the numbers come from:"
     yield from (f"  {field}: {source}" for field, source in robot.provenance.items())
+
+
+def _air_drag(robot: Robot) -> str:
+    """Return the air drag of platform and cables in words."""
+    factors = robot.angular_drag_axes
+    about = "" if (factors == 1.0).all() else f" times {_vector(factors)} about x, y, z of P"
+    usual = "" if robot.cable_drag is not None else ", as is usual for the size"
+    return (
+        f"{robot.drag:g} N s/m, {robot.angular_drag:g} N m s{about}; cables "
+        f"{cable_drag_of(robot):.3g} 1/s{usual}"
+    )
 
 
 def _payload_table(report: RobotReport) -> str:

@@ -11,6 +11,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.inspection import findings
 from carosac_toolkit.inspection.home import RobotAtHome
+from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.robot.parameter_names import unit_of
 from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.robot import Robot
@@ -127,6 +128,9 @@ class RobotReport(RobotAtHome):
             "mass_kg": robot.mass,
             "center_of_mass_m": robot.center_of_mass,
             "inertia_kg_m2": robot.inertia,
+            "air_drag_N_s_per_m": robot.drag,
+            "angular_air_drag_N_m_s": robot.angular_drag * robot.angular_drag_axes,
+            "cable_air_drag_per_s": cable_drag_of(robot),
             "payloads": [
                 {
                     "name": payload.name,

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import carosac_toolkit as ct
-from calibration.identification.cross_validation import Folds
+from calibration.identification.cross_validation import Candidate, Folds
 from calibration.identification.error_noise import PoseErrorNoise
 from calibration.identification.procedure import identify
 from calibration.identification.quadratic import Quadratic
@@ -105,6 +105,12 @@ def test_words_say_what_was_found():
     assert tried["true"].words.startswith("true kept: ")
     assert "left as in the robot file" in tried["none"].words
     assert tried["true"].gain > tried["true"].error > 0.0
+
+
+def test_what_could_not_be_left_is_said_to_be_kept_with_the_others():
+    one = Candidate(name="drag", kept=True, gain=0.46, error=0.22, together=True)
+    assert one.words.startswith("drag kept, as a fit without those to be left predicts worse")
+    assert one.data()["together"] is True
 
 
 def test_coordinates_stay_within_their_bounds_in_each_fit():

@@ -42,6 +42,7 @@ def test_errors_of_many_recordings_all_count_and_alike_on_all_axes():
     assert np.ptp(noise.sigma[:3]) == 0.0 and np.ptp(noise.sigma[3:]) == 0.0
     assert noise.sigma[3] == pytest.approx(0.01, rel=0.1)
     few = estimate_noise(runs[:2])
+    assert estimate_noise(runs[:2], apart=True).apart and not few.apart  # others were left out
     assert few.repeats[0] > 10.0 and few.sigma[0] > 5.0 * few.sigma[1]
 
 

@@ -131,3 +131,10 @@ def test_motion_counts_over_all_recordings(robot, recordings):
     ]
     with pytest.raises(Unobservable, match="a platform at rest does not show its dynamics"):
         identify_runs(still, robot, FEW)
+
+
+def test_a_recording_that_was_left_out_is_not_the_worst(found):
+    worst = found.runs[found.worst].name
+    assert any(f"at worst ({worst})" in line for line in found.sentences())
+    without = replace(found, unfollowed=(worst,))
+    assert not any(f"at worst ({worst})" in line for line in without.sentences())
