@@ -153,7 +153,9 @@ class Folds:
             kept = [trial for trial in trials if trial[0] > trial[1]]
             total = float(without.sum())
             for gain, error, name in [max(kept)] if kept else sorted(trials, reverse=True):
-                share = {"gain": gain / total, "error": error / total}
-                judged.append(Candidate(name=name, kept=bool(kept), **share))
+                one = Candidate(
+                    name=name, kept=bool(kept), gain=gain / total, error=error / total
+                )  # fmt: skip
+                judged.append(one)
                 del left[name]
         return tuple(judged)

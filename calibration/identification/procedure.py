@@ -286,22 +286,23 @@ def _identify(
     identified = updated(robot, estimate)
     after = _motions(robot, identified, runs, chosen, starts)
     told = [k for k in range(len(runs)) if k not in fit.left_out]  # the fitted ones are the first
-    parts_told, old_told, new_told = ([each[k] for k in told] for each in (runs, before, after))
-    judged = _model_error(identified, parts_told, new_told)
+    told_runs = [runs[k] for k in told]
+    told_before, told_after = ([each[k] for k in told] for each in (before, after))
+    judged = _model_error(identified, told_runs, told_after)
     compared = (
         None if frequencies is None else ComparedFrequencies.of(frequencies, robot, identified)
     )
-    against_mean = _against_mean(robot, parts_told, new_told)
-    scored = _scored(parts_told, old_told, new_told, "test")
+    against_mean = _against_mean(robot, told_runs, told_after)
+    scored = _scored(told_runs, told_before, told_after, "test")
     unfollowed = tuple(runs[k].part.name for k in fit.left_out)
-    trained_scores = _scored(parts_told, old_told, new_told, "train")
+    trained_scores = _scored(told_runs, told_before, told_after, "train")
     assert trained_scores is not None, "something was fitted"
     return Identification(
         before=robot,
         warnings=(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
-            *_turned_body(parts_told, new_told),
+            *_turned_body(told_runs, told_after),
             *(() if compared is None else compared.warnings()),
         ),
         estimate=estimate,
