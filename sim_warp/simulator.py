@@ -123,7 +123,9 @@ class Simulator:
         check_positive("time_step", time_step, "s")
         if cable_drag is not None:
             check_not_negative("cable_drag", cable_drag, "1/s")
-            asked = {id(each): replace(each, cable_drag=float(cable_drag)) for each in robots}
+            asked = {id(each): each for each in robots}  # each robot of many worlds once
+            for key, each in asked.items():
+                asked[key] = replace(each, cable_drag=float(cable_drag))
             robots = [asked[id(each)] for each in robots]
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
