@@ -52,7 +52,7 @@ def test_load_cells_refuse_a_home_that_they_contradict_whoever_confirms_it():
             refused(plc, home, "home: .* or a person's word")
         assert plc.say("place {:g} {:g} {:g}".format(*home)) == "ok"
         time.sleep(0.1)
-        for _ in range(10):
+        for _ in range(20):
             guard = guard_at(plc, home)
             guard.connect()
             assert guard.state is DriveState.ENABLED
