@@ -40,7 +40,7 @@ class Tried:
         has: Those that it has.
         kept: Those that were kept.
         words: What cross-validation said.
-        worst: Largest error of a parameter of a candidate that it has, in its sigmas.
+        worst: Largest error of a parameter of a candidate that was kept, in its sigmas.
         seconds: Time of processors [s].
     """
 

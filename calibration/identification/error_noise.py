@@ -78,7 +78,9 @@ def estimate_noise(errors: Sequence[Array], *, apart: bool | None = None) -> Pos
     typical = np.median(np.abs(together), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((together**2).mean(axis=0))
     sigma = np.minimum(rms, 1.5 * typical)
-    if len(errors) >= RUNS_APART_MIN if apart is None else apart:
+    if apart is None:
+        apart = len(errors) >= RUNS_APART_MIN
+    if apart:
         pooled = np.repeat(np.sqrt((sigma.reshape(2, 3) ** 2).mean(axis=1)), 3)
         return PoseErrorNoise(
             sigma=np.maximum(MANY_SIGMA_SHARE * SIGMA_MIN, pooled), repeats=np.ones(6), apart=True

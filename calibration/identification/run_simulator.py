@@ -41,17 +41,10 @@ class RunSimulator:
         *,
         refined: int = 1,
     ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
-        """Simulate robots at coordinates, for each run of its own.
+        """Simulate robots as `pose_errors` does, and return errors as each run sees them.
 
-        Args:
-            runs: In the order of the coordinates.
-            points: Of each run, shape (B, all coordinates).
-            time_step: At most [s].
-            refined: Steps that each of these is divided into.
-
-        Returns:
-            Of each run: errors as it sees them (B, K', 6), and which robots exist and have a finite
-            motion (B,).
+        Of each run `points` are of all coordinates, shape (B, all coordinates), and its errors
+        (B, K', 6).
         """
         own = [each[:, rows] for each, rows in zip(points, self._own, strict=True)]
         errors, exists = self.pose_errors(runs, own, time_step, refined=refined)
