@@ -21,6 +21,7 @@ from calibration.identification.open_loop import (
     first_equilibrium,
     simulate_runs,
 )
+from calibration.identification.rest_doubt import rest_doubt, rests_on
 from calibration.identification.result import (
     FirstMotion,
     Identification,
@@ -50,7 +51,6 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
-from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
@@ -254,8 +254,6 @@ def _identify(
     if frequencies is not None:
         frequencies = frequencies.matched(robot)
     chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
-    poses = [_check(part, robot) for part in parts]
-    _check_motion(robot, parts, poses)
     unknowns = choose_coordinates(robot, chosen)
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
@@ -273,6 +271,8 @@ def _identify(
         nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
         windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
         runs = prepare(windows)
+    poses = [_check(part, robot, unknowns) for part in parts]
+    _check_motion(robot, parts, poses)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
         fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
@@ -477,7 +477,7 @@ def _prepared(
     return _Run(part=part, poses=poses, left_out=left_out, first=first, fitted=fitted)
 
 
-def _check(part: _Part, robot: Robot) -> MeasuredPoses:
+def _check(part: _Part, robot: Robot, unknowns: Coordinates) -> MeasuredPoses:
     """Refuse what nothing can be identified from; return the measured poses in W."""
     recording, train, test = part.recording, part.train, part.test
     recording.require_cables(robot)
@@ -496,7 +496,7 @@ def _check(part: _Part, robot: Robot) -> MeasuredPoses:
     for name, span in (("train", train), ("test", test)):
         if span is not None and len(poses.within(*span).time) == 0:
             raise InvalidField(name, f"{span[0]}:{span[1]}", "samples with measured poses nearby")
-    _check_order(part.name, robot, material, poses)
+    _check_order(part, robot, material, poses, unknowns)
     return poses
 
 
@@ -549,7 +549,9 @@ def _motions(
     return errors
 
 
-def _check_order(name: str, robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
+def _check_order(
+    part: _Part, robot: Robot, material: Recording, poses: MeasuredPoses, unknowns: Coordinates
+) -> None:
     """Refuse clocks that are apart, cables in another order, other units and other frames."""
     pose = Pose(position=poses.position, rotation=poses.rotation)
     mix_ups = find_contradictions(
@@ -558,7 +560,7 @@ def _check_order(name: str, robot: Robot, material: Recording, poses: MeasuredPo
     )  # fmt: skip
     if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
-        raise InvalidField(name, " ".join(mix_ups), allowed)
+        raise InvalidField(part.name, " ".join(mix_ups), allowed)
 
 
 def _check_start(name: str, robot: Robot, errors: Array) -> None:
@@ -577,6 +579,7 @@ def _check_start(name: str, robot: Robot, errors: Array) -> None:
 
 def _against_mean(
     robot: Robot, runs: Sequence[_Run], errors: Sequence[Array]
+        doubt=lambda rows: rest_doubt(part.recording, unknowns, poses.index[rows]),
 ) -> MeanPoseComparison:
     """Compare the errors of simulations, (K, 6) a run, with those of the mean poses."""
     from scipy.spatial.transform import Rotation
@@ -704,7 +707,7 @@ def _rests(run: _Run, robot: Robot, identified: Robot, rate: float) -> RestError
     for each in (robot, identified):
         lengths = calibrated(recording, each).unstrained_length
         back = turn_between(each, robot)
-        hung = [back @ _mean_position(each, lengths[poses.index[rows]]) for rows in spans]
+        hung = [back @ rests_on(each, lengths[poses.index[rows]])[0].mean(axis=0) for rows in spans]
         where = [poses.position[rows].mean(axis=0) for rows in spans]
         distances.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
     return RestErrors(
@@ -715,13 +718,3 @@ def _rests(run: _Run, robot: Robot, identified: Robot, rate: float) -> RestError
 def _rows(poses: MeasuredPoses, start: int, stop: int) -> NDArray[np.int64]:
     """Return the rows of the poses of some length samples."""
     return np.flatnonzero((poses.index >= start) & (poses.index < stop))
-
-
-def _mean_position(robot: Robot, lengths: Array) -> Array:
-    """Return the mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
-    if (lengths <= 0.0).any():
-        return np.full(3, np.nan)
-    rest = statics.forward_kinematics(robot, lengths)
-    if not rest.converged.all():
-        return np.full(3, np.nan)
-    return np.asarray(rest.position.mean(axis=0))

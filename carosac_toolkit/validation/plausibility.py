@@ -22,7 +22,7 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, clock_warnings
-from carosac_toolkit.validation.pose_frames import find_frames
+from carosac_toolkit.validation.pose_frames import RestDoubt, find_frames
 from carosac_toolkit.validation.scores import rotation_angle
 
 Order = NDArray[np.intp]
@@ -121,6 +121,7 @@ def find_contradictions(
     *,
     zeros_known: bool = True,
     channels: Sequence[str] = ALIGNED_CHANNELS,
+    doubt: RestDoubt | None = None,
 ) -> tuple[str, ...]:
     """List evidence that clocks are apart, or lengths and poses mixed up or in other frames.
 
@@ -133,6 +134,7 @@ def find_contradictions(
         pose: Measured at the same times.
         zeros_known: See `find_mix_ups`.
         channels: Whose clocks matter.
+        doubt: Of where the platform rests on some of the lengths; see `find_frames`.
 
     Returns:
         Sentences; none where nothing contradicts the robot.
@@ -143,7 +145,7 @@ def find_contradictions(
     mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
     if recording.metadata.length_kind != "unstrained":
         return mixed
-    found = find_frames(robot, length, pose, zeros_known=zeros_known)
+    found = find_frames(robot, length, pose, zeros_known=zeros_known, doubt=doubt)
     frames = () if found is None else tuple(found.sentences(robot))
     if mixed == (QUATERNION_ORDER_HINT,) and frames:  # half a turn about z looks alike
         return (*mixed, f"Otherwise: {frames[-1]}")

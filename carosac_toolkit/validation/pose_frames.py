@@ -8,10 +8,11 @@ tracked body, a platform at rest shows p_W = Q p + t and R_W = Q R C.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array, evenly
@@ -28,10 +29,14 @@ YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
 SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # zeros of lengths and exit points move it by less
+SHIFT_COST_MIN = 9.0  # squares of misfits over sigmas that a shift explains: three sigmas
+SHIFT_PARTS = 5  # of a recording, whose means tell a shift
+MISFIT_SHARE = 0.05  # of the least shift and turn: misfits that nothing need explain
 WIDTH_MIN = Scaled(0.03, "m")  # RMS across the main direction: less is a line, free to turn
 WIDTH_OVER_MISFIT_MIN = 5.0  # of what turned positions leave
 LEFT_SHARE_MAX = 0.5  # of the misfit that another frame may leave, to be named
 AXIS_COSINE_MIN = 0.98  # of a turn about an axis that goes by the axis's name
+RestDoubt = Callable[[NDArray[np.intp]], Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +85,12 @@ class PoseFrames:
 
 
 def find_frames(
-    robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
+    robot: Robot,
+    length: Array,
+    pose: Pose,
+    *,
+    zeros_known: bool = True,
+    doubt: RestDoubt | None = None,
 ) -> PoseFrames | None:
     """Estimate the frames of measured poses from poses of rest on the lengths.
 
@@ -90,12 +100,17 @@ def find_frames(
         pose: Measured at the same times.
         zeros_known: True if lengths are known but for what a calibration changes. If not, only
             larger turns of the body are looked for, where the positions fit.
+        doubt: Returns for some of the samples (K,) by how much poses of rest may be off, as
+            positions [m] in W and turns [rad] in axes of the platform, by one sigma of each of k
+            things that are not known of the robot, (K, 6, k); asked only if positions seem moved.
+            None: the robot is known but for what a calibration changes.
 
     Returns:
         Frames, those of the robot where another one would not explain over half of the misfit;
         None where the robot cannot rest on the lengths.
     """
-    some = evenly(len(length), RESTS_MAX)
+    count = len(length)
+    some = evenly(count, RESTS_MAX)
     length = length[some]
     if not len(length) or (length <= 0.0).any():
         return None
@@ -118,9 +133,39 @@ def find_frames(
         world @ rotation, attitudes, body, zeros_known=zeros_known
     ):
         body = np.eye(3)
-    if not np.linalg.norm(shift) > max(least, scatter):
+    far = float(np.linalg.norm(shift)) > max(least, scatter)
+    if far and doubt is not None:
+        turned = Rotation.from_matrix((world @ rotation @ body).swapaxes(1, 2) @ attitudes)
+        misfit = np.hstack([missing, turned.as_rotvec()])
+        compared = np.arange(count)[some][good]
+        far = _shows_shift(misfit, lambda rows: doubt(compared[rows]), least)
+    if not far:
         shift = np.zeros(3)
     return PoseFrames(world_turn=world, shift=shift, body_turn=body)
+
+
+def _shows_shift(misfit: Array, doubt: RestDoubt, least: float) -> bool:
+    """Return whether moved positions explain a misfit better than what is not known of the robot.
+
+    Means of parts of a recording are compared, each as uncertain as what it is a mean of scatters:
+    a platform that swings is not where it would rest.
+
+    Args:
+        misfit: Of positions and turns, shape (S, 6).
+        doubt: Of rests, as of `find_frames`.
+        least: Shift that counts [m].
+    """
+    parts = np.array_split(np.arange(len(misfit)), min(SHIFT_PARTS, len(misfit)))
+    mean = np.concatenate([misfit[rows].mean(axis=0) for rows in parts])
+    noise = np.mean([misfit[rows].var(axis=0) for rows in parts], axis=0)
+    noise += np.repeat([MISFIT_SHARE * least, MISFIT_SHARE * WORLD_TURN_MIN_RAD], 3) ** 2
+    moved = doubt(np.array([rows[len(rows) // 2] for rows in parts]))
+    slopes = moved.reshape(len(mean), -1)
+    known = slopes @ slopes.T + np.diag(np.tile(noise, len(parts)))
+    shifts = np.tile(np.eye(6, 3), (len(parts), 1))
+    pull = shifts.T @ np.linalg.solve(known, mean)
+    told = shifts.T @ np.linalg.solve(known, shifts)
+    return bool(pull @ np.linalg.solve(told, pull) > SHIFT_COST_MIN)
 
 
 def _turn_of_world(position: Array, rests: Array, by_attitudes: Array, width_min: float) -> Array:

@@ -76,3 +76,40 @@ def test_a_straight_line_tells_the_turn_that_its_attitudes_tell_or_none(axis, de
 def test_half_a_turn_about_z_looks_like_another_order_of_quaternions_and_both_are_named():
     text = find_misfits(seen(RUN, body=turn("z", 180)), ROBOT)
     assert "x y z w" in text[0] and text[1].startswith("Otherwise: The tracked body")
+
+
+ALONG_X = np.zeros((6, 1))
+ALONG_X[0] = 0.1  # [m], one sigma of where the platform rests
+
+
+@pytest.mark.parametrize(
+    ("shift", "doubt", "named"),
+    [
+        ((0.18, 0.0, 0.0), None, True),
+        ((0.18, 0.0, 0.0), ALONG_X, False),
+        ((0.45, 0.0, 0.0), ALONG_X, True),
+        ((0.0, 0.18, 0.0), ALONG_X, True),
+        ((0.05, 0.0, 0.0), 0.0 * ALONG_X, False),
+    ],
+)
+def test_a_platform_may_rest_where_what_is_not_known_of_the_robot_moves_it(shift, doubt, named):
+    rest = ct.statics.inverse_kinematics(ROBOT, ROBOT.home_position + np.zeros((20, 1)))
+    pose = ct.Pose(position=ROBOT.home_position + np.array([shift] * 20), rotation=rest.rotation)
+    asked = None if doubt is None else (lambda rows: np.tile(doubt, (len(rows), 1, 1)))
+    found = find_frames(ROBOT, rest.unstrained_length, pose, doubt=asked)
+    assert found.shift == pytest.approx(-np.array(shift) if named else np.zeros(3), abs=1e-3)
+
+
+def test_what_would_turn_the_platform_too_is_no_excuse_where_it_is_not_turned():
+    rest = ct.statics.inverse_kinematics(ROBOT, ROBOT.home_position + np.zeros((20, 1)))
+    moved = ROBOT.home_position + np.tile([0.18, 0.0, 0.0], (20, 1))
+    doubt = ALONG_X.copy()
+    doubt[4] = 0.2  # [rad]
+    found = [
+        find_frames(
+            ROBOT, rest.unstrained_length, ct.Pose(position=moved, rotation=rest.rotation @ turned),
+            zeros_known=False, doubt=lambda rows: np.tile(doubt, (len(rows), 1, 1)),
+        ).shift.any()
+        for turned in (np.eye(3), Rotation.from_rotvec([0.0, 0.36, 0.0]).as_matrix())
+    ]  # fmt: skip
+    assert found == [True, False]
