@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.error_noise import PoseErrorNoise
+from calibration.identification.doubts import Judge
 from calibration.identification.quadratic import Quadratic
 from carosac_toolkit.base.arrays import Array
 
@@ -72,7 +72,7 @@ class Folds:
         known: Of what is known beside the data.
         at: The estimate, shape (p,).
         lower: Bounds of the coordinates, shape (p,).
-        noise: By which errors count.
+        judge: By which errors of all parts count.
         places: Which part each is, of all that there are.
     """
 
@@ -80,7 +80,7 @@ class Folds:
     known: Quadratic
     at: Array
     lower: Array
-    noise: PoseErrorNoise
+    judge: Judge
     places: tuple[int, ...]
 
     def held_out(self, held: NDArray[np.bool_]) -> Array:
@@ -108,7 +108,7 @@ class Folds:
         A fit without them may be a long way off, and the cost no parabola there.
 
         Args:
-            without: Of the fit without them, by the noise of these.
+            without: Of the fit without them, by the judge of these.
             judged: What was chosen.
         """
         costs = [

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.identification.error_noise import PoseErrorNoise
 from carosac_toolkit.base.arrays import Array
 
 # Of derivatives that are means of two kinds, how wrong they may be, over how much both differ. If
@@ -116,6 +117,42 @@ class Doubts:
         weighted = weights[:, None] * slope
         known = _with_unit(self.precision, slope.shape[1]) + slope.T @ weighted
         return np.asarray((weighted.T @ left).T @ np.linalg.solve(known, weighted.T @ right))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judge:
+    """By which errors of runs count.
+
+    Attributes:
+        noise: Of each error.
+        doubts: What errors of a run have in common beside; None: nothing.
+    """
+
+    noise: PoseErrorNoise
+    doubts: Doubts | None = None
+
+    def cost(self, k: int, errors: Array) -> float:
+        """Return the cost of errors (K, 6) of run k."""
+        cost = self.noise.cost(errors)
+        if self.doubts is None:
+            return cost
+        flat, weights = errors.reshape(-1, 1), self.noise.weights(errors).ravel()
+        return cost - float(self.doubts.lost(k, weights, flat, flat)[0, 0])
+
+    def product(self, k: int, errors: Array, left: Array, right: Array) -> Array:
+        """Return left^T W right, by the weights W of errors (K, 6) of run k.
+
+        Args:
+            k: Run.
+            errors: Of it.
+            left: Shape (6 K, a).
+            right: Shape (6 K, b).
+        """
+        weights = self.noise.weights(errors).ravel()
+        plain = left.T @ (weights[:, None] * right)
+        if self.doubts is None:
+            return np.asarray(plain)
+        return np.asarray(plain - self.doubts.lost(k, weights, left, right))
 
 
 def _with_unit(precision: Array, size: int) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from calibration.identification.cross_validation import Folds
-from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
+from calibration.identification.doubts import DOUBT_RATIO, Doubts, Judge, RunDerivatives
 from calibration.identification.error_noise import (
     RUNS_APART_MIN,
     PoseErrorNoise,
@@ -120,7 +120,7 @@ class Fitter:
         *,
         robot_at: Array | None = None,
         frequencies: FrequencyTable | None = None,
-        judge: PoseErrorNoise | None = None,
+        judge: Judge | None = None,
     ) -> None:
         """Take the data.
 
@@ -131,7 +131,7 @@ class Fitter:
             robot_at: Coordinates (k,) at which the robot is held, so that only the starts of the
                 runs are searched; None: they are searched too.
             frequencies: Measured beside the recordings; None: none.
-            judge: Noise by which parts that are held out count; None: as in the fit.
+            judge: By which parts that are held out count; None: as in the fit.
         """
         self._unknowns = unknowns
         self._runs = self._whole = tuple(runs)
@@ -228,7 +228,7 @@ class Fitter:
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
         spread = self._spread(state, noise, root, inverse)
-        folds = self._folds(state, self._judge or noise)
+        folds = self._folds(state, self._judge or self._by(noise))
         information /= self._axes * excess
         if left_out:
             for k, start in zip(left_out, self._sought(at, left_out), strict=True):
@@ -307,8 +307,7 @@ class Fitter:
             expected = np.einsum("nci,di->dnc", rough[k], told[:, rows])
             beyond = (errors[k][1:] - errors[k][0] - expected).reshape(len(steps), -1)
             flat = state.jacobians[k].reshape(-1, len(rows))
-            weights = noise.weights(state.errors[k]).ravel()
-            pull[:, rows] += self._product(k, weights, flat, beyond.T).T
+            pull[:, rows] += self._by(noise).product(k, state.errors[k], flat, beyond.T).T
         return pull, np.all([good[k][1:] for k in self._kept], axis=0)
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> Search:
@@ -369,11 +368,11 @@ class Fitter:
         sums = []
         for k in self._kept:
             own, errors = self._own[k], state.errors[k]
-            weights = noise.weights(errors)
             if self._many:
                 flat = state.jacobians[k].reshape(-1, len(own))
-                parts = self._product(k, weights.ravel(), flat, errors.reshape(-1, 1)).T
+                parts = self._by(noise).product(k, errors, flat, errors.reshape(-1, 1)).T
             else:
+                weights = noise.weights(errors)
                 scores = np.einsum("nci,nc->ni", state.jacobians[k], weights * errors)
                 time = self._runs[k].poses.time
                 length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
@@ -398,7 +397,7 @@ class Fitter:
         spread = float(np.einsum("bi,ij,bj->", stretches, inverse, stretches))
         return max(1.0, spread / fitted)
 
-    def _folds(self, state: Search, noise: PoseErrorNoise) -> Folds:
+    def _folds(self, state: Search, judge: Judge) -> Folds:
         """Return the recordings, or stretches of few of them, about where the search ended.
 
         Each of many recordings has a start of its own, which follows.
@@ -409,13 +408,13 @@ class Fitter:
         for k in self._kept:
             own, errors, slopes = self._own[k], state.errors[k], state.jacobians[k]
             if self._many:
-                fold = self._with_start(k, state.at, self._fold(k, noise, errors, slopes))
+                fold = self._with_start(k, state.at, self._fold(k, judge, errors, slopes))
                 parts.append(fold.least_beside(count))
                 continue
             stretches = max(HELD_OUT_OF_EACH, round(HELD_OUT_STRETCHES * len(errors) / total))
             stretches = min(stretches, len(errors))
             for rows in np.array_split(np.arange(len(errors)), stretches):
-                fold = self._fold(k, noise, errors[rows], slopes[rows])
+                fold = self._fold(k, judge, errors[rows], slopes[rows])
                 gradient, information = np.zeros(size), np.zeros((size, size))
                 gradient[own], information[np.ix_(own, own)] = fold.gradient, fold.information
                 parts.append(replace(fold, gradient=gradient, information=information))
@@ -428,7 +427,7 @@ class Fitter:
         places = tuple(self._kept) if self._many else tuple(range(len(parts)))
         return Folds(
             parts=parts, known=beside, at=state.at[first].copy(), lower=self._lower[first],
-            noise=noise, places=places,
+            judge=judge, places=places,
         )  # fmt: skip
 
     def _with_start(self, k: int, at: Array, cost: Quadratic) -> Quadratic:
@@ -441,13 +440,13 @@ class Fitter:
         constant = cost.cost + float(at[rows] @ at[rows])
         return Quadratic(cost=constant, gradient=gradient, information=information)
 
-    def _fold(self, k: int, noise: PoseErrorNoise, errors: Array, slopes: Array) -> Quadratic:
+    def _fold(self, k: int, judge: Judge, errors: Array, slopes: Array) -> Quadratic:
         """Return the cost of some errors (K, 6) of a run, by what it depends on."""
-        flat, weights = slopes.reshape(errors.size, -1), noise.weights(errors).ravel()
+        flat = slopes.reshape(errors.size, -1)
         return Quadratic(
-            cost=self._cost_of(k, errors, noise),
-            gradient=self._product(k, weights, flat, errors.reshape(-1, 1))[:, 0],
-            information=self._product(k, weights, flat, flat),
+            cost=judge.cost(k, errors),
+            gradient=judge.product(k, errors, flat, errors.reshape(-1, 1))[:, 0],
+            information=judge.product(k, errors, flat, flat),
         )
 
     def _errors_at(self, at: Array) -> list[Array]:
@@ -702,11 +701,12 @@ class Fitter:
     ) -> tuple[Array, Array]:
         """Return the information of the recordings, and half the derivative of their cost."""
         information, gradient = np.zeros_like(self._prior), np.zeros(len(self._first))
+        judge = self._by(noise)
         for k in self._kept:
             own, error = self._own[k], errors[k]
-            flat, weights = jacobians[k].reshape(-1, len(own)), noise.weights(error).ravel()
-            information[np.ix_(own, own)] += self._product(k, weights, flat, flat)
-            gradient[own] += self._product(k, weights, flat, error.reshape(-1, 1))[:, 0]
+            flat = jacobians[k].reshape(-1, len(own))
+            information[np.ix_(own, own)] += judge.product(k, error, flat, flat)
+            gradient[own] += judge.product(k, error, flat, error.reshape(-1, 1))[:, 0]
         return information, gradient
 
     def _known_about(self, at: Array) -> Quadratic:
@@ -726,12 +726,9 @@ class Fitter:
         """Information of what is known beside the recordings."""
         return self._known.information
 
-    def _product(self, k: int, weights: Array, left: Array, right: Array) -> Array:
-        """Return left^T W right, (N, a) and (N, b), of errors of a run with weights (N,)."""
-        plain = left.T @ (weights[:, None] * right)
-        if self._doubts is None:
-            return np.asarray(plain)
-        return np.asarray(plain - self._doubts.lost(k, weights, left, right))
+    def _by(self, noise: PoseErrorNoise) -> Judge:
+        """Return by which errors count, with noise of each."""
+        return Judge(noise=noise, doubts=self._doubts)
 
     @property
     def _kept(self) -> list[int]:
@@ -751,11 +748,7 @@ class Fitter:
 
     def _cost_of(self, k: int, errors: Array, noise: PoseErrorNoise) -> float:
         """Return the cost of errors (K, 6) of a run."""
-        cost = noise.cost(errors)
-        if self._doubts is None:
-            return cost
-        flat = errors.reshape(-1, 1)
-        return cost - float(self._doubts.lost(k, noise.weights(errors).ravel(), flat, flat)[0, 0])
+        return self._by(noise).cost(k, errors)
 
     def _search(
         self,
@@ -950,7 +943,7 @@ class Fitter:
         trial = np.tile(at, (len(tries), 1))
         for k in self._kept:
             slopes = jacobians[k][:, :, self._count :]
-            fold = self._with_start(k, at, self._fold(k, noise, errors[k], slopes))
+            fold = self._with_start(k, at, self._fold(k, self._by(noise), errors[k], slopes))
             steps = _tries(fold.information, fold.gradient, tries)
             trial[:, own[k]] += np.array(steps).reshape(len(trial), len(own[k]))
         trials, good = self._trials(trial)

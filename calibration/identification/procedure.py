@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.error_noise import RUNS_APART_MIN, PoseErrorNoise
+from calibration.identification.error_noise import RUNS_APART_MIN
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.frequencies import ComparedFrequencies, FrequencyTable
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -180,7 +180,8 @@ def _chosen(
 ) -> Identification:
     """Identify a robot; parameters that were to be tried are held unless they predict."""
     whole = (settings or IdentificationSettings()).with_candidates(candidates)
-    found = _identify(parts, robot, whole, report, frequencies)
+    fit = _identify(parts, robot, whole, report, frequencies)
+    found = fit.result
     if not candidates:
         return found
     group = np.full(len(found.folds.at), "", dtype=object)  # starts have none
@@ -189,9 +190,8 @@ def _chosen(
     held = [one.name for one in judged if not one.kept]
     if not held:
         return replace(found, candidates=judged)
-    folds, settings = found.folds, whole.without(held)
-    without = _identify(parts, robot, settings, report, frequencies, folds.noise)
-    judged = folds.verified(without.folds, judged)
+    without = _identify(parts, robot, whole.without(held), report, frequencies, fit).result
+    judged = found.folds.verified(without.folds, judged)
     if all(one.kept for one in judged):
         return replace(found, candidates=judged)
     return replace(without, candidates=judged, warnings=(*without.warnings, *_doubts(found)))
@@ -242,19 +242,37 @@ class _Run:
     fitted: FittedRun
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """An identification.
+
+    Attributes:
+        result: What it found.
+        windows: Over which errors of each part were averaged [s]; 0: they were not.
+    """
+
+    result: Identification
+    windows: list[float]
+
+
 def _identify(
     parts: Sequence[_Part],
     robot: Robot,
     settings: IdentificationSettings | None,
     report: ProgressCallback,
     frequencies: FrequencyTable | None,
-    judge: PoseErrorNoise | None = None,
-) -> Identification:
-    """Identify a robot from parts of recordings, first those that are fitted."""
+    other: _Fit | None = None,
+) -> _Fit:
+    """Identify a robot from parts of recordings, first those that are fitted.
+
+    What is held out counts as in the `other` fit of the same parts, by which it is to be judged.
+    """
     if frequencies is not None:
         frequencies = frequencies.matched(robot)
     chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
     unknowns = choose_coordinates(robot, chosen)
+    poses = [_check(part, robot, unknowns) for part in parts]
+    _check_motion(robot, parts, poses)
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
     times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
@@ -266,13 +284,16 @@ def _identify(
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
+    judge = None if other is None else other.result.folds.judge
     if any(windows):
         some = _spread(trained, APPROACH_RUNS_MAX)
         nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
-        windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
+        windows = (
+            windows_by(unknowns.robot_at(nearly), windows, paths, times)
+            if other is None
+            else other.windows
+        )
         runs = prepare(windows)
-    poses = [_check(part, robot, unknowns) for part in parts]
-    _check_motion(robot, parts, poses)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
         fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
@@ -297,7 +318,7 @@ def _identify(
     unfollowed = tuple(runs[k].part.name for k in fit.left_out)
     trained_scores = _scored(told_runs, told_before, told_after, "train")
     assert trained_scores is not None, "something was fitted"
-    return Identification(
+    result = Identification(
         before=robot,
         warnings=(
             *_warnings(fit, scored, against_mean),
@@ -337,6 +358,7 @@ def _identify(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out
         ),
     )
+    return _Fit(result=result, windows=windows)
 
 
 def _starts(
@@ -557,6 +579,7 @@ def _check_order(
     mix_ups = find_contradictions(
         material, robot, material.unstrained_length[poses.index], pose,
         zeros_known=False, channels=("poses",),
+        doubt=lambda rows: rest_doubt(part.recording, unknowns, poses.index[rows]),
     )  # fmt: skip
     if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
@@ -579,7 +602,6 @@ def _check_start(name: str, robot: Robot, errors: Array) -> None:
 
 def _against_mean(
     robot: Robot, runs: Sequence[_Run], errors: Sequence[Array]
-        doubt=lambda rows: rest_doubt(part.recording, unknowns, poses.index[rows]),
 ) -> MeanPoseComparison:
     """Compare the errors of simulations, (K, 6) a run, with those of the mean poses."""
     from scipy.spatial.transform import Rotation

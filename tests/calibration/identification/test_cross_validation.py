@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 
 import carosac_toolkit as ct
 from calibration.identification.cross_validation import Candidate, Folds
+from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import PoseErrorNoise
 from calibration.identification.procedure import identify
 from calibration.identification.quadratic import Quadratic
@@ -55,7 +56,7 @@ class Regression:
             known=Quadratic(cost=0.0, gradient=self.precision @ at, information=self.precision),
             at=at,
             lower=np.full(6, -np.inf),
-            noise=PoseErrorNoise(sigma=np.ones(6), repeats=np.ones(6)),
+            judge=Judge(noise=PoseErrorNoise(sigma=np.ones(6), repeats=np.ones(6))),
             places=tuple(range(12)),
         )
 

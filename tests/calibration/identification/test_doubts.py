@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.identification.doubts import DOUBT_RATIO, Doubts, RunDerivatives
+from calibration.identification.doubts import DOUBT_RATIO, Doubts, Judge, RunDerivatives
+from calibration.identification.error_noise import PoseErrorNoise
 
 ERRORS, ROBOT, START = 60, 5, 2
 PRIOR = np.eye(ROBOT)
@@ -52,6 +53,22 @@ def test_doubt_is_a_further_covariance_of_what_is_predicted():
         side, _ = run.beside_start()
         precision += side.T @ np.linalg.solve(covariance, side)
     assert np.linalg.norm(doubts.precision - precision) < 0.01 * np.linalg.norm(precision)
+
+
+def test_costs_and_products_are_those_of_the_whole_covariance():
+    rng = np.random.default_rng(5)
+    doubts = Doubts.of([draw_run(rng, wrong=0.3) for _ in range(2)], PRIOR)
+    sigma = np.repeat([0.5, 0.7], 3)
+    judge = Judge(noise=PoseErrorNoise(sigma=sigma, repeats=np.ones(6)), doubts=doubts)
+    errors = 1e-3 * rng.standard_normal((ERRORS // 6, 6))  # so small that none counts for less
+    flat, left = errors.ravel(), rng.standard_normal((ERRORS, 3))
+    wrong = doubts.slopes[1] @ np.linalg.solve(doubts.precision, doubts.slopes[1].T)
+    covariance = np.diag(np.tile(sigma**2, ERRORS // 6)) + wrong
+    told = np.linalg.solve(covariance, flat)
+    assert judge.cost(1, errors) == pytest.approx(flat @ told)
+    assert judge.product(1, errors, left, flat[:, None])[:, 0] == pytest.approx(left.T @ told)
+    alone = Judge(noise=judge.noise)
+    assert alone.cost(1, errors) == pytest.approx(((errors / sigma) ** 2).sum())
 
 
 def test_what_is_hidden_is_a_further_covariance_too():

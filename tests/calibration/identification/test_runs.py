@@ -16,6 +16,7 @@ from benchmarks.calibration_oscillations import (
     robot_with_pulleys,
 )
 from calibration.identification import fit, procedure, search_state, spread
+from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
@@ -343,7 +344,7 @@ def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
         at=at, errors=[errors[0][:1], errors[1]], jacobians=[slopes[0][:1], slopes[1]], count=1,
         settled=True,
     )  # fmt: skip
-    folds = fitter._folds(state, estimate_noise(errors))
+    folds = fitter._folds(state, Judge(noise=estimate_noise(errors)))
     assert len(folds.parts) == 1 + min(fit.HELD_OUT_STRETCHES, len(errors[1]))
 
 
