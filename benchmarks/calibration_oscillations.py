@@ -16,6 +16,8 @@ import hashlib
 import json
 import multiprocessing
 import os
+import sys
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import product
@@ -34,6 +36,7 @@ from calibration.identification.synthetic_oscillations import (
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.rest import statics
@@ -248,13 +251,29 @@ def _pinned(free: multiprocessing.Queue[int]) -> None:
     os.sched_setaffinity(0, {free.get()})
 
 
-def _measured(one: tuple[int, int]) -> str:
-    """Measure the robot of some cables and a seed; return a line about it."""
-    return f"{one} {measure(*one, OscillationSettings(), SURVEYED)}"
+def _measured(one: tuple[int, int]) -> tuple[str, bool]:
+    """Measure the robot of some cables and a seed; return a line about it, and if it was refused.
+
+    Its recordings are right: a refusal is a fault, and the others are measured nevertheless.
+    """
+    try:
+        return f"{one} {measure(*one, OscillationSettings(), SURVEYED)}", False
+    except CarosacError as error:
+        return f"{one} {error}", True
+
+
+def _printed(lines: Iterable[tuple[str, bool]]) -> list[str]:
+    """Print lines as they come; return those of robots that were refused."""
+    refused = []
+    for line, failed in lines:
+        print(line, flush=True)
+        if failed:
+            refused.append(line)
+    return refused
 
 
 def main() -> None:
-    """Measure and write."""
+    """Measure and write; end with status 1 if a robot was refused."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--cables", type=int, nargs="+", default=list(CABLES), choices=CABLES)
@@ -269,11 +288,9 @@ def main() -> None:
         for core in cores:
             free.put(core)
         with context.Pool(len(cores), initializer=_pinned, initargs=(free,)) as pool:
-            for line in pool.imap_unordered(_measured, todo, chunksize=1):
-                print(line, flush=True)
+            refused = _printed(pool.imap_unordered(_measured, todo, chunksize=1))
     else:
-        for one in todo:
-            print(_measured(one), flush=True)
+        refused = _printed(map(_measured, todo))
     rows = []
     for cables in CABLES:
         kept = [read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))]
@@ -282,10 +299,13 @@ def main() -> None:
     text = [
         f"{options.count} free oscillations of {options.duration:g} s at {options.rate:g} Hz, none "
         "at rest at the start; robots are drawn from what is known before.",
+        *(f"\nRefused, though all of its recordings are right: {line}." for line in refused),
         "", "| robots | what | bar | measured |", "|---|---|---|---|", *rows,
     ]  # fmt: skip
     command = "python -m benchmarks.calibration_oscillations"
     write_section("calibration-oscillations", TITLE, command, "\n".join(text))
+    if refused:
+        sys.exit(1)
 
 
 if __name__ == "__main__":
