@@ -17,7 +17,6 @@ import json
 import multiprocessing
 import os
 import sys
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from itertools import product
@@ -171,17 +170,31 @@ def digest() -> str:
     return code.hexdigest()[:12]
 
 
-def read(path: Path) -> Score | None:
-    """Return the score of a robot that the same code identified before; None: it was another."""
+@dataclass(frozen=True, kw_only=True)
+class Refusal:
+    """A robot that was not identified, though all of its recordings are right.
+
+    Attributes:
+        refused: Why.
+        code: Digest of the code that refused it.
+    """
+
+    refused: str
+    code: str = ""
+
+
+def read(path: Path) -> Score | Refusal | None:
+    """Return what the same code found of a robot before; None: it was another."""
     if not path.is_file():
         return None
-    found = Score(**json.loads(path.read_text(encoding="utf-8")))
+    data = json.loads(path.read_text(encoding="utf-8"))
+    found = Refusal(**data) if "refused" in data else Score(**data)
     return found if found.code == digest() else None
 
 
 def measure(
     cables: int, seed: int, options: OscillationSettings, settings: IdentificationSettings
-) -> Score:
+) -> Score | Refusal:
     """Identify a drawn robot, unless that was kept."""
     path = KEPT / f"{cables}-{seed}.json"
     kept = read(path)
@@ -190,18 +203,22 @@ def measure(
     robot = robot_with_pulleys(cables)
     plant = draw_plant(robot, settings, seed)
     runs = simulate_oscillations(plant, seed, options)
+    found: Score | Refusal
     wall, used = perf_counter(), process_time()
-    result = identify_runs(runs, robot, settings)
-    wall, used = perf_counter() - wall, process_time() - used
-    found = score(result, plant, runs)
-    alone = len(os.sched_getaffinity(0)) > 1
-    found = replace(
-        found,
-        seconds=used,
-        wall=wall if alone else None,
-        left_out=len(result.unfollowed),
-        code=digest(),
-    )
+    try:
+        result = identify_runs(runs, robot, settings)
+    except CarosacError as error:
+        found = Refusal(refused=str(error))
+    else:
+        wall, used = perf_counter() - wall, process_time() - used
+        alone = len(os.sched_getaffinity(0)) > 1
+        found = replace(
+            score(result, plant, runs),
+            seconds=used,
+            wall=wall if alone else None,
+            left_out=len(result.unfollowed),
+        )
+    found = replace(found, code=digest())
     KEPT.mkdir(exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(asdict(found), indent=1) + "\n", encoding="utf-8")
@@ -251,29 +268,13 @@ def _pinned(free: multiprocessing.Queue[int]) -> None:
     os.sched_setaffinity(0, {free.get()})
 
 
-def _measured(one: tuple[int, int]) -> tuple[str, bool]:
-    """Measure the robot of some cables and a seed; return a line about it, and if it was refused.
-
-    Its recordings are right: a refusal is a fault, and the others are measured nevertheless.
-    """
-    try:
-        return f"{one} {measure(*one, OscillationSettings(), SURVEYED)}", False
-    except CarosacError as error:
-        return f"{one} {error}", True
-
-
-def _printed(lines: Iterable[tuple[str, bool]]) -> list[str]:
-    """Print lines as they come; return those of robots that were refused."""
-    refused = []
-    for line, failed in lines:
-        print(line, flush=True)
-        if failed:
-            refused.append(line)
-    return refused
+def _measured(one: tuple[int, int]) -> str:
+    """Measure the robot of some cables and a seed; return a line about it."""
+    return f"{one} {measure(*one, OscillationSettings(), SURVEYED)}"
 
 
 def main() -> None:
-    """Measure and write; end with status 1 if a robot was refused."""
+    """Measure and write; end with status 1 if a robot was not identified."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--cables", type=int, nargs="+", default=list(CABLES), choices=CABLES)
@@ -288,18 +289,23 @@ def main() -> None:
         for core in cores:
             free.put(core)
         with context.Pool(len(cores), initializer=_pinned, initargs=(free,)) as pool:
-            refused = _printed(pool.imap_unordered(_measured, todo, chunksize=1))
+            for line in pool.imap_unordered(_measured, todo, chunksize=1):
+                print(line, flush=True)
     else:
-        refused = _printed(map(_measured, todo))
-    rows = []
+        for one in todo:
+            print(_measured(one), flush=True)
+    rows, refused = [], []
     for cables in CABLES:
-        kept = [read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))]
-        scores = [each for each in kept if each is not None]
+        kept = {path.stem: read(path) for path in sorted(KEPT.glob(f"{cables}-*.json"))}
+        scores = [each for each in kept.values() if isinstance(each, Score)]
         rows += rows_of(cables, scores) if scores else []
+        refused += [
+            f"{name}: {each.refused}" for name, each in kept.items() if isinstance(each, Refusal)
+        ]
     text = [
         f"{options.count} free oscillations of {options.duration:g} s at {options.rate:g} Hz, none "
         "at rest at the start; robots are drawn from what is known before.",
-        *(f"\nRefused, though all of its recordings are right: {line}." for line in refused),
+        *(f"\nNot identified, though all recordings are right: robot {line}." for line in refused),
         "", "| robots | what | bar | measured |", "|---|---|---|---|", *rows,
     ]  # fmt: skip
     command = "python -m benchmarks.calibration_oscillations"

@@ -15,7 +15,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -102,6 +102,15 @@ class Folds:
             costs.append(part.at(change))
         return np.array(costs)
 
+    def only(self, places: Set[int]) -> Folds:
+        """Return some of the parts; the others are neither fitted nor held out."""
+        some = [k for k, place in enumerate(self.places) if place in places]
+        return replace(
+            self,
+            parts=[self.parts[k] for k in some],
+            places=tuple(self.places[k] for k in some),
+        )
+
     def verified(self, without: Folds, judged: Sequence[Candidate]) -> tuple[Candidate, ...]:
         """Keep all candidates if a fit without those that were to be held predicts worse.
 
@@ -111,12 +120,9 @@ class Folds:
             without: Of the fit without them, by the judge of these.
             judged: What was chosen.
         """
-        costs = [
-            dict(zip(folds.places, folds.held_out(np.zeros(len(folds.at), np.bool_)), strict=True))
-            for folds in (self, without)
-        ]
-        both = sorted(set(self.places) & set(without.places))
-        with_them, without_them = (np.array([each[place] for place in both]) for each in costs)
+        both, nothing = set(self.places) & set(without.places), np.zeros(len(self.at), np.bool_)
+        with_them = self.only(both).held_out(nothing)
+        without_them = without.only(both).held_out(np.zeros(len(without.at), np.bool_))
         gains = without_them - with_them
         error = float(np.sqrt(len(gains)) * gains.std(ddof=1))
         if gains.sum() <= error:

@@ -21,7 +21,7 @@ from calibration.identification.open_loop import (
     first_equilibrium,
     simulate_runs,
 )
-from calibration.identification.rest_doubt import rest_doubt, rests_on
+from calibration.identification.rests import rest_doubt, rests_on
 from calibration.identification.result import (
     FirstMotion,
     Identification,
@@ -248,10 +248,12 @@ class _Fit:
 
     Attributes:
         result: What it found.
+        poses: Of each part, checked.
         windows: Over which errors of each part were averaged [s]; 0: they were not.
     """
 
     result: Identification
+    poses: list[MeasuredPoses]
     windows: list[float]
 
 
@@ -271,8 +273,11 @@ def _identify(
         frequencies = frequencies.matched(robot)
     chosen = resolved(settings or IdentificationSettings(), Scales(robot).ratios)
     unknowns = choose_coordinates(robot, chosen)
-    poses = [_check(part, robot, unknowns) for part in parts]
-    _check_motion(robot, parts, poses)
+    if other is None:
+        poses = [_check(part, robot, unknowns) for part in parts]
+        _check_motion(robot, parts, poses)
+    else:
+        poses = other.poses  # what was told of the robot before must not refuse them now
     paths = [LengthPath(part.recording) for part in parts]
     rests = [first_equilibrium(robot, path) for path in paths]
     times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
@@ -288,11 +293,9 @@ def _identify(
     if any(windows):
         some = _spread(trained, APPROACH_RUNS_MAX)
         nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
-        windows = (
-            windows_by(unknowns.robot_at(nearly), windows, paths, times)
-            if other is None
-            else other.windows
-        )
+        windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
+        if other is not None:
+            windows = other.windows
         runs = prepare(windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
@@ -358,7 +361,7 @@ def _identify(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out
         ),
     )
-    return _Fit(result=result, windows=windows)
+    return _Fit(result=result, poses=poses, windows=windows)
 
 
 def _starts(

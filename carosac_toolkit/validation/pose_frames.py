@@ -1,7 +1,7 @@
 """Frames of measured poses: another world frame, or another frame on the platform.
 
 The poses at which the platform would rest on the lengths are compared with the measured ones. Sway
-averages out, and what a calibration changes is small; a turned frame is not. With the rotation Q
+averages out, and what a calibration changes is small beside a turned frame. With the rotation Q
 and the origin t of the frame of the poses in W, and the rotation C of the platform frame P in the
 tracked body, a platform at rest shows p_W = Q p + t and R_W = Q R C.
 """
@@ -28,15 +28,15 @@ WORLD_TURN_MIN_RAD = 0.1  # [rad]: a smaller turn is a matter of calibration
 YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
-SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # zeros of lengths and exit points move it by less
-SHIFT_COST_MIN = 9.0  # squares of misfits over sigmas that a shift explains: three sigmas
+SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # a smaller shift is a matter of calibration
+SHIFT_COST_MIN = 14.16  # chi squared of three freedoms, at the chance of three sigmas
 SHIFT_PARTS = 5  # of a recording, whose means tell a shift
 MISFIT_SHARE = 0.05  # of the least shift and turn: misfits that nothing need explain
 WIDTH_MIN = Scaled(0.03, "m")  # RMS across the main direction: less is a line, free to turn
 WIDTH_OVER_MISFIT_MIN = 5.0  # of what turned positions leave
 LEFT_SHARE_MAX = 0.5  # of the misfit that another frame may leave, to be named
 AXIS_COSINE_MIN = 0.98  # of a turn about an axis that goes by the axis's name
-RestDoubt = Callable[[NDArray[np.intp]], Array]
+RestDoubt = Callable[[NDArray[np.intp]], Array]  # of some samples, see `find_frames`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +106,8 @@ def find_frames(
             None: the robot is known but for what a calibration changes.
 
     Returns:
-        Frames, those of the robot where another one would not explain over half of the misfit;
+        Frames, those of the robot where another one would not explain over half of the misfit, or
+        where what is not known of the robot may explain it;
         None where the robot cannot rest on the lengths.
     """
     count = len(length)
@@ -147,8 +148,8 @@ def find_frames(
 def _shows_shift(misfit: Array, doubt: RestDoubt, least: float) -> bool:
     """Return whether moved positions explain a misfit better than what is not known of the robot.
 
-    Means of parts of a recording are compared, each as uncertain as what it is a mean of scatters:
-    a platform that swings is not where it would rest.
+    Means of parts of a recording are compared, each as uncertain as what it is a mean of scatters.
+    A platform that swings is not where it would rest, and not about it either, where it swings far.
 
     Args:
         misfit: Of positions and turns, shape (S, 6).

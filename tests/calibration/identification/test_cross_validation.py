@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import carosac_toolkit as ct
+from calibration.identification import procedure
 from calibration.identification.cross_validation import Candidate, Folds
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import PoseErrorNoise
@@ -160,8 +161,12 @@ def test_products_of_inertia_are_kept_where_the_body_has_them(robot):
     assert np.linalg.norm(off) < np.linalg.norm(robot.inertia - skew)
 
 
-def test_they_stay_as_in_the_robot_file_where_it_has_none(robot):
+def test_they_stay_as_in_the_robot_file_where_it_has_none(robot, monkeypatch):
+    """What is told of the robot is then less, and must not refuse what was accepted before."""
+    checked, check = [], procedure._check
+    monkeypatch.setattr(procedure, "_check", lambda *given: (checked.append(1), check(*given))[1])
     found = tried(robot, robot)
+    assert len(checked) == 1
     assert not found.candidates[0].kept and "inertia.xy" not in found.estimate.names
     assert found.data()["candidates"]["inertia_products"]["kept"] is False
     assert found.robot.inertia[0, 1] == 0.0

@@ -1,4 +1,4 @@
-"""How far a platform may rest from where the robot file hangs it, by what is to be identified."""
+"""Poses of rest on recorded lengths, and how far off they may be by what is to be identified."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
@@ -32,39 +33,35 @@ def rest_doubt(recording: Recording, unknowns: Coordinates, rows: NDArray[np.int
     """
     steps = DOUBT_STEP * np.linalg.cholesky(unknowns.prior.covariance).T
     robot = unknowns.robot
-    position, rotation = _rests(recording, robot, robot, rows)
+    position, rotation = rests_on(robot, calibrated(recording, robot).unstrained_length[rows])
+    guess = Pose(
+        position=np.where(np.isnan(position), robot.home_position, position), rotation=rotation
+    )
     slopes = []
     for step in steps:
         other = unknowns.robot_at(np.maximum(step, unknowns.lower))
-        moved, turned = _rests(recording, other, robot, rows)
-        turn = Rotation.from_matrix(rotation.swapaxes(1, 2) @ turned).as_rotvec()
-        slopes.append(np.hstack([moved - position, turn]) / DOUBT_STEP)
-    return np.nan_to_num(np.stack(slopes, axis=2))
+        lengths = calibrated(recording, other).unstrained_length[rows]
+        there, turned = rests_on(other, lengths, guess)
+        back = turn_between(other, robot)
+        moved = there @ back.T - position
+        turn = Rotation.from_matrix(rotation.swapaxes(1, 2) @ back @ turned)
+        slope = np.hstack([moved, turn.as_rotvec()]) / DOUBT_STEP
+        slopes.append(np.where(np.isnan(moved).any(axis=1, keepdims=True), 0.0, slope))
+    return np.stack(slopes, axis=2)
 
 
-def _rests(
-    recording: Recording, robot: Robot, seen_by: Robot, rows: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Return poses of rest in W of another robot's poses; positions NaN where there are none."""
-    length = calibrated(recording, robot).unstrained_length[rows]
-    back = turn_between(robot, seen_by)
-    position, rotation = rests_on(robot, length)
-    return position @ back.T, back @ rotation
-
-
-def rests_on(robot: Robot, lengths: Array) -> tuple[Array, Array]:
-    """Return poses of rest on lengths (K, n), (K, 3) and (K, 3, 3); NaN and 1 where there is none.
+def rests_on(robot: Robot, lengths: Array, guess: Pose | None = None) -> tuple[Array, Array]:
+    """Return poses of rest on lengths, (K, 3) and (K, 3, 3); positions are NaN where is none.
 
     Args:
         robot: Robot description.
-        lengths: Unstrained [m].
+        lengths: Unstrained [m], shape (K, n).
+        guess: Poses nearby; None: none are known.
     """
-    position, rotation = (
-        np.full((len(lengths), 3), np.nan),
-        np.tile(np.eye(3), (len(lengths), 1, 1)),
-    )
+    position = np.full((len(lengths), 3), np.nan)
+    rotation = np.tile(np.eye(3), (len(lengths), 1, 1))
     if (lengths > 0.0).all():
-        rest = statics.forward_kinematics(robot, lengths)
+        rest = statics.forward_kinematics(robot, lengths, guess=guess)
         good = rest.converged
         position[good], rotation[good] = rest.position[good], rest.rotation[good]
     return position, rotation

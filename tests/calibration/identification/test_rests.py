@@ -11,17 +11,21 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from benchmarks.calibration_oscillations import SURVEYED
 from calibration.identification import procedure
-from calibration.identification.rest_doubt import rest_doubt
+from calibration.identification.rests import rest_doubt, rests_on
+from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import turn_between, with_values
+from carosac_toolkit.validation.pose_frames import find_frames
 
 SHORT = OscillationSettings(count=2, duration=6.0, time_step=0.01)
 
@@ -84,3 +88,43 @@ def test_another_tracked_point_is_named(robot, recording):
     )
     with pytest.raises(InvalidField, match="Is the tracked point the origin of the platform frame"):
         check(robot, other)
+
+
+def test_what_leaves_no_rest_changes_none(robot, recording, monkeypatch):
+    """Nor does it turn the platform, whatever its attitude is."""
+    unknowns = choose_coordinates(robot, SURVEYED)
+    rows = np.array([0])
+    before = rest_doubt(recording, unknowns, rows)
+    solve, count = statics.forward_kinematics, []
+
+    def fails_once(*args, **kwargs):
+        count.append(1)
+        found = solve(*args, **kwargs)
+        return replace(found, converged=found.converged & (len(count) != 3))  # of the second step
+
+    monkeypatch.setattr(statics, "forward_kinematics", fails_once)
+    after = rest_doubt(recording, unknowns, rows)
+    assert not after[:, :, 1].any()
+    assert (np.delete(after, 1, axis=2) == np.delete(before, 1, axis=2)).all()
+
+
+def test_robots_drawn_from_what_is_known_are_hardly_ever_refused(robot):
+    """By chance one recording of 400, and more as rests move further than along a line."""
+    rng = np.random.default_rng(1)
+    unknowns = choose_coordinates(robot, IdentificationSettings())
+    root, refused = np.linalg.cholesky(unknowns.prior.covariance), 0
+    lengths = statics.inverse_kinematics(
+        robot, robot.home_position + rng.uniform(-0.4, 0.4, (5, 3))
+    ).unstrained_length
+    still = Recording(time=np.arange(5.0), unstrained_length=lengths)
+    for _ in range(60):
+        plant = unknowns.robot_at(np.maximum(root @ rng.standard_normal(len(root)), unknowns.lower))
+        position, rotation = rests_on(plant, calibrated(still, plant).unstrained_length)
+        back = turn_between(plant, robot)
+        pose = Pose(position=position @ back.T, rotation=back @ rotation)
+        found = find_frames(
+            robot, lengths, pose, zeros_known=False,
+            doubt=lambda rows: rest_doubt(still, unknowns, rows),
+        )  # fmt: skip
+        refused += bool(found is not None and found.shift.any())
+    assert refused <= 2
