@@ -29,6 +29,7 @@ CABLES = 4
 RECORDINGS = 20
 AXES = np.array([2.0, 0.5, 1.0])  # factors of the angular drag
 CABLE_FACTOR = 4.0  # of the usual drag of cables
+CAPSTAN = 0.15  # coefficient of friction of cables on their pulleys
 PRODUCT_SHARES = {(0, 1): 0.25, (0, 2): -0.2, (1, 2): 0.15}  # of the spreads of mass
 
 
@@ -57,6 +58,8 @@ def with_effects(plant: Robot, names: frozenset[str]) -> Robot:
         plant = replace(plant, angular_drag_axes=AXES)
     if "cable_drag" in names:
         plant = replace(plant, cable_drag=CABLE_FACTOR * cable_drag_of(plant))
+    if "capstan_friction" in names:
+        plant = replace(plant, capstan_friction=np.full(plant.n, CAPSTAN))
     if "inertia_products" in names:
         moments = 0.5 * np.trace(plant.inertia) - np.diag(plant.inertia)
         inertia = plant.inertia.copy()
@@ -79,7 +82,10 @@ def tried(seed: int, has: frozenset[str]) -> Tried:
     estimate = found.estimate
     true = values_of(replace(plant, cable_drag=cable_drag_of(plant)), estimate.names)
     shares = np.abs(estimate.value - true) / estimate.sigma
-    fields = ("angular_drag_axes", "cable_drag", "inertia.xy", "inertia.xz", "inertia.yz")
+    fields = (
+        "angular_drag_axes", "cable_drag", "capstan_friction", "inertia.xy", "inertia.xz",
+        "inertia.yz",
+    )  # fmt: skip
     worst = [
         share
         for name, share in zip(estimate.names, shares, strict=True)
@@ -113,8 +119,8 @@ def main() -> None:
         f"{RECORDINGS} free oscillations of robots with {CABLES} cables, all of "
         f"{', '.join(CANDIDATE_SIGMAS)} as candidates. Robots that have them have factors of the "
         f"angular drag of {', '.join(f'{x:g}' for x in AXES)}, {CABLE_FACTOR:g} times the usual "
-        f"drag of cables, and products of inertia of {', '.join(map(str, PRODUCT_SHARES.values()))}"
-        f" of the spreads.\n\n{table(header, rows)}"
+        f"drag of cables, a friction of {CAPSTAN:g} on their pulleys, and products of inertia of "
+        f"{', '.join(map(str, PRODUCT_SHARES.values()))} of the spreads.\n\n{table(header, rows)}"
     )
     command = "python -m benchmarks.calibration_candidates"
     write_section("calibration-candidates", TITLE, command, text)

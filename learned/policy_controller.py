@@ -35,7 +35,8 @@ TRAINED_FIELDS = (
 # And one that moves in real time on these, too.
 TRAINED_MOTION_FIELDS = (
     "winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag",
-    "angular_drag_axes", "cable_drag", "exit_friction", "anchor_friction", "length_hysteresis",
+    "angular_drag_axes", "cable_drag", "exit_friction", "anchor_friction", "capstan_friction",
+    "length_hysteresis",
 )  # fmt: skip
 DEFAULT_POLICIES = {
     "carosac": "carosac-residual",

@@ -44,6 +44,13 @@ from carosac_toolkit.physics.motion.body_kernels import (
     scheme_of,
     solve_system,
 )
+from carosac_toolkit.physics.motion.capstan_kernels import (
+    Run,
+    capstan_exponent,
+    free_run,
+    grips,
+    stretched,
+)
 from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
@@ -158,6 +165,7 @@ class Segment:
     tension: wp.float64  # [N]
     axial: wp.float64  # stiffness along it within a time step [N/m]
     across: wp.mat33d  # stiffness across it [N/m]
+    run: Run  # of the first segment
 
 
 @wp.struct
@@ -178,6 +186,7 @@ class AnchorLoad:
 
     force: wp.vec3d  # [N]
     stiffness: wp.mat33d  # [N/m]
+    run: Run
 
 
 @wp.func
@@ -262,23 +271,38 @@ def run_strain(cable: Cable, mesh: CableMesh, gravity: wp.float64, unit: wp.vec3
 
 
 @wp.func
-def first_segment(cable: Cable, mesh: CableMesh, lower: wp.vec3d, velocity: wp.vec3d,
-                  predicted: wp.float64, scheme: Scheme,
+def first_segment(cable: Cable, run: Run, length: wp.float64, mesh: CableMesh, lower: wp.vec3d,
+                  velocity: wp.vec3d, predicted: wp.float64, scheme: Scheme,
                   gravity: wp.float64) -> Segment:  # fmt: skip
     """Evaluate the segment at the pulley, with the arc on it and the run behind it."""
-    span, _wrap, unit, bend, _valid = straight_cable(
+    span, wrap, unit, bend, _valid = straight_cable(
         lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
     rest_length = mesh.first_length + cable.run_length
     # The run feels the tension at the exit: half the weight of this segment more than its middle.
     stretch = span - mesh.first_length - cable.run_length * run_strain(cable, mesh, gravity, unit)
     out = Segment()
+    elastic = cable.axial_stiffness * stretch  # over the length at rest: the tension
+    stiffness = cable.axial_stiffness
+    if grips(cable):
+        more = run_strain(cable, mesh, gravity, unit)
+        own = cable.run_length * wp.max(stretch / rest_length + more, ZERO)
+        out.run = free_run(own, length)
+        if run.known == 1:
+            first = mesh.first_length
+            pulled = stretched(
+                cable, run, length, capstan_exponent(cable, wrap), ONE, first / cable.run_length,
+                span - first + first * more,
+            )  # fmt: skip
+            out.run = pulled.run
+            share = cable.axial_stiffness * rest_length / first
+            elastic = share * (span - first - pulled.run.stretch)
+            stiffness = share * (ONE - ONE / pulled.slope)
     if predicted + mesh.mean_mass * scheme.stiff * stretch > ZERO:
         out.unit = unit
-        out.axial = (cable.axial_stiffness + cable.axial_damping / scheme.reach) / rest_length
+        out.axial = (stiffness + cable.axial_damping / scheme.reach) / rest_length
         out.tension = (
-            cable.axial_stiffness * stretch
-            + cable.axial_damping * (wp.dot(unit, velocity) - mesh.first_rate)
+            elastic + cable.axial_damping * (wp.dot(unit, velocity) - mesh.first_rate)
         ) / rest_length
         out.across = wp.max(predicted, ZERO) * bend
     return out
@@ -309,7 +333,8 @@ def segment_between(cable: Cable, mesh: CableMesh, upper: wp.vec3d, lower: wp.ve
 
 
 @wp.func
-def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i: int,
+def sweep_down(chains: Chains, cable: Cable, run: Run, length: wp.float64, mesh: CableMesh,
+               b: int, s: int, i: int,
                scheme: Scheme, gravity: wp.float64, drag: wp.float64, anchor: wp.vec3d,
                anchor_velocity: wp.vec3d,
                anchor_inertial_rate: wp.vec3d) -> AnchorLoad:  # fmt: skip
@@ -324,6 +349,7 @@ def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i:
     mass = wp.float64(0.0)  # of the upper node
     carried = wp.vec3d()
     stiffness = wp.mat33d()
+    out = AnchorLoad()
     for k in range(chains.segments):
         lower = anchor
         velocity = anchor_velocity
@@ -339,8 +365,10 @@ def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i:
         segment = Segment()
         if k == 0:
             segment = first_segment(
-                cable, mesh, lower, velocity, chains.predicted[b, i, 0], scheme, gravity
-            )
+                cable, run, length, mesh, lower, velocity, chains.predicted[b, i, 0], scheme,
+                gravity,
+            )  # fmt: skip
+            out.run = segment.run
         else:
             segment = segment_between(
                 cable, mesh, upper, lower, upper_velocity, velocity, chains.predicted[b, i, k],
@@ -367,7 +395,6 @@ def sweep_down(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i:
         upper = lower
         upper_velocity = velocity
         mass = lower_mass
-    out = AnchorLoad()
     out.force = load + carried
     out.stiffness = HALF * (stiffness + wp.transpose(stiffness)) + (mass * inertia) * identity
     return out
@@ -417,7 +444,8 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         load = sweep_down(
-            chains, cable, mesh, b, s, i, scheme, body.gravity, body.cable_drag,
+            chains, cable, worlds.bristles[b, i].run, winch.length, mesh, b, s, i, scheme,
+            body.gravity, body.cable_drag,
             trial.center + arm, velocity, inertial_rate,
         )  # fmt: skip
         total = attach(total, arm, load.force, load.stiffness)
@@ -426,7 +454,9 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
                 total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
             )
             total = rubbing.system
-            chains.bristles[s, i] = rubbing.bristles
+            bristles = rubbing.bristles
+            bristles.run = load.run
+            chains.bristles[s, i] = bristles
     if lane.count > 1:
         total.force = vector_sum(total.force, lane.count)
         total.moment = vector_sum(total.moment, lane.count)

@@ -124,7 +124,7 @@ PER_CABLE = (
     "pulley_radius", "swivel_axis", "run_length", "linear_density", "axial_stiffness",
     "axial_damping", "cable_diameter", "tension_min", "tension_max", "speed_max",
     "acceleration_max", "winch_lag", "length_min", "length_max", "exit_friction",
-    "anchor_friction", "length_hysteresis",
+    "anchor_friction", "capstan_friction", "length_hysteresis",
 )  # fmt: skip
 EXITS = {2: [(-3, 0, 6), (3, 0, 6)], 3: [(-3, -2, 6), (3, -2, 6), (0, 3.5, 6)]}
 ANCHORS = {2: [(-0.2, 0, 0), (0.2, 0, 0)], 3: [(-0.2, -0.15, 0), (0.2, -0.15, 0), (0, 0.25, 0)]}

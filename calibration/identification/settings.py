@@ -11,7 +11,9 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
 
 # Of candidates that are held else.
-CANDIDATE_SIGMAS = {"inertia_products": 0.15, "angular_drag_axes": 0.5, "cable_drag": 1.0}
+CANDIDATE_SIGMAS = {
+    "inertia_products": 0.15, "angular_drag_axes": 0.5, "cable_drag": 1.0, "capstan_friction": 0.1,
+}  # fmt: skip
 _NO_SIGMAS = ("rate", "iterations", "time_step")
 
 
@@ -39,6 +41,7 @@ class IdentificationSettings:
         exit_friction: Dry moment at the exits, one for all cables, over the weight per cable times
             the length of the cables at home.
         anchor_friction: At the anchor points, over the weight per cable times their lever.
+        capstan_friction: Coefficient of the cable on its pulley or eyelet, one for all cables.
         length_hysteresis: Of each winch [m].
         pose_tilt: Of the frame of the poses against gravity, about x and y [rad]. Exit
             points that are held stay where they are in W.
@@ -66,6 +69,7 @@ class IdentificationSettings:
     run_length: float = Scaled(2.0, "m")
     exit_friction: float = 1e-3
     anchor_friction: float = 0.01
+    capstan_friction: float = 0.0
     length_hysteresis: float = Scaled(1e-3, "m")
     pose_tilt: float = 0.01
     drag: float = 1.0

@@ -53,7 +53,7 @@ _NOT_NEGATIVE_FIELDS = (
 _FRICTION_FIELDS = ("exit_friction", "anchor_friction")  # in proportion to the mass
 _PER_CABLE_FIELDS = (
     "linear_density", "axial_stiffness", "axial_damping", "run_length", "exit_friction",
-    "anchor_friction",
+    "anchor_friction", "capstan_friction",
 )  # fmt: skip
 
 

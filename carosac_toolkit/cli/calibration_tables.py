@@ -14,7 +14,8 @@ _CABLE_COLUMNS = {
     "length_offset": "offset", "length_scale": "scale", "drum_radius": "drum radius",
     "drum_buildup": "build-up", "axial_stiffness": "EA", "linear_density": "density",
     "axial_damping": "damping", "run_length": "run", "exit_friction": "exit friction",
-    "anchor_friction": "anchor friction", "length_hysteresis": "hysteresis",
+    "anchor_friction": "anchor friction", "capstan_friction": "capstan friction",
+    "length_hysteresis": "hysteresis",
 }  # fmt: skip
 _UNITS_SHOWN = {
     "m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3), "N": ("kN", 1e-3),

@@ -24,7 +24,7 @@ PER_CABLE_FIELDS = (
     "anchor_points", "linear_density", "axial_stiffness", "axial_damping", "cable_diameter",
     "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min",
     "length_max", "drum_radius", "drum_buildup", "exit_friction", "anchor_friction",
-    "length_hysteresis",
+    "capstan_friction", "length_hysteresis",
 )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ class Cable:
     axial_damping: wp.float64  # tension per strain rate [N s]
     exit_friction: wp.float64  # dry moment against turning of the cable at its exit [N m]
     anchor_friction: wp.float64  # the same against the platform at its anchor [N m]
+    capstan_friction: wp.float64  # coefficient of the cable on its pulley or eyelet
     tension_min: wp.float64  # [N]
     tension_max: wp.float64  # [N]
 

@@ -55,6 +55,7 @@ def build_robot(file: RobotFile) -> Robot:
         axial_damping=np.array([cable.axial_damping for cable in cables]),
         exit_friction=np.array([cable.exit_friction for cable in cables]),
         anchor_friction=np.array([cable.anchor_friction for cable in cables]),
+        capstan_friction=np.array([cable.capstan_friction for cable in cables]),
         length_hysteresis=np.array([winch.length_hysteresis for winch in winches]),
         cable_diameter=np.array([cable.diameter for cable in cables]),
         tension_min=np.array([limit.min for limit in limits]),

@@ -18,7 +18,8 @@ _FIELD_UNITS = {
     "axial_damping": "N*s", "run_length": "m", "length_delay": "s", "pose_tilt": "rad",
     "mass": "kg", "drag": "N*s/m", "angular_drag": "N*m*s/rad", "center_of_mass": "m",
     "inertia": "kg*m^2", "exit_friction": "N*m", "anchor_friction": "N*m",
-    "length_hysteresis": "m", "angular_drag_axes": "1", "cable_drag": "1/s",
+    "capstan_friction": "1", "length_hysteresis": "m", "angular_drag_axes": "1",
+    "cable_drag": "1/s",
 }  # fmt: skip
 _POINT_FIELDS = ("exit_points", "anchor_points")  # of each cable
 _CABLE_FIELDS = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
@@ -29,6 +30,7 @@ _SHARED_FIELDS = (
     "run_length",
     "exit_friction",
     "anchor_friction",
+    "capstan_friction",
     "length_hysteresis",
 )  # of each, or of all
 SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag", "cable_drag")

@@ -11,6 +11,7 @@ name                       unit    meaning
 ``axial_stiffness[C]``     N       also ``linear_density``, ``axial_damping``, ``run_length``;
                                    without ``[C]`` one number for all cables
 ``exit_friction[C]``       N m     also ``anchor_friction``, and ``length_hysteresis`` [m]; likewise
+``capstan_friction[C]``    1       of the cable on its pulley; likewise
 ``length_delay``           s       by how much readings lead poses
 ``pose_tilt.x``            rad     of the frame of measured poses against W, about x of W; also y
 ``mass``                   kg      also ``drag``, ``angular_drag``

@@ -65,6 +65,9 @@ class Robot:
         exit_friction: Dry moment that resists turning of the cable at its exit: of the pulley about
             its swivel axis, at an eyelet in all directions [N m], shape (n,) or (1,).
         anchor_friction: Dry moment between cable and platform at the anchor [N m], the same shape.
+        capstan_friction: Friction coefficient mu of the cable where it wraps its pulley by an angle
+            theta: sliding, tensions on both sides have the ratio exp(mu theta); at an eyelet,
+            exp(mu) [1], the same shape.
         length_hysteresis: By how much less cable a winch has paid out than it has turned for, after
             it has paid out for long; more after winding in [m], the same shape.
         cable_diameter: [m], shape (n,).
@@ -146,6 +149,7 @@ class Robot:
     provenance: Mapping[str, str]
     exit_friction: Array = field(default_factory=lambda: np.zeros(1))
     anchor_friction: Array = field(default_factory=lambda: np.zeros(1))
+    capstan_friction: Array = field(default_factory=lambda: np.zeros(1))
     length_hysteresis: Array = field(default_factory=lambda: np.zeros(1))
     angular_drag_axes: Array = field(default_factory=lambda: np.ones(3))
     cable_drag: float | None = None
@@ -333,7 +337,9 @@ _CABLE_FIELDS = (
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",
     "length_min", "length_max",
 )  # fmt: skip
-DRY_FIELDS = ("exit_friction", "anchor_friction", "length_hysteresis")  # 0 where not given
+DRY_FIELDS = (
+    "exit_friction", "anchor_friction", "capstan_friction", "length_hysteresis"
+)  # fmt: skip  # 0 where not given
 _VECTOR_FIELDS = (
     "center_of_mass", "angular_drag_axes", "workspace_min", "workspace_max", "home_position",
 )  # fmt: skip

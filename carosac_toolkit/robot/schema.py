@@ -153,6 +153,7 @@ class CableType(_Section):
     axial_damping: Annotated[float, _reads("N*s", ">= 0")]
     exit_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
     anchor_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
+    capstan_friction: Factor = 0.0
     diameter: Extent
 
     @model_validator(mode="after")

@@ -26,7 +26,8 @@ from carosac_toolkit.robot.schema import RobotFile
 
 _SIGNIFICANT_DIGITS = 12  # of written numbers
 _CABLE_TYPE_FIELDS = (
-    "linear_density", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction"
+    "linear_density", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction",
+    "capstan_friction",
 )  # fmt: skip
 _WINCH_PATHS: dict[str, tuple[str, ...]] = {
     "drum_radius": ("drum", "radius"), "drum_buildup": ("drum", "buildup"),

@@ -18,7 +18,7 @@ NAMES = (
     "run_length[cable3]", "length_delay", "pose_tilt.x", "pose_tilt.y", "mass", "drag",
     "angular_drag", "center_of_mass.x", "inertia.xx", "inertia.xy", "inertia.yz",
     "angular_drag_axes.y", "cable_drag", "exit_friction[cable1]", "anchor_friction[cable2]",
-    "length_hysteresis[cable3]",
+    "capstan_friction", "length_hysteresis[cable3]",
 )  # fmt: skip
 TURN = Rotation.from_euler("zyx", [70.0, 3.0, -2.0], degrees=True).as_matrix()
 

@@ -44,6 +44,7 @@ def other_numbers(robot, rng):
         axial_damping=near(robot.axial_damping),
         exit_friction=rng.uniform(0.01, 0.1, n),
         anchor_friction=rng.uniform(0.01, 0.1, n),
+        capstan_friction=rng.uniform(0.01, 0.1, n),
         length_hysteresis=rng.uniform(1e-4, 1e-3, n),
         run_length=robot.run_length + rng.uniform(0.0, 0.1, n),
         mass=1.1 * robot.mass,
@@ -302,7 +303,8 @@ def test_the_same_robot_gives_the_same_file():
     text = robot_text("scampi")
     robot = parse_robot(text)
     fields = (
-        "linear_density", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction"
+        "linear_density", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction",
+        "capstan_friction",
     )  # fmt: skip
     other = replace(robot, **{name: 1.1 * getattr(robot, name) + 1e-3 for name in fields})
     sources = load_yaml(robot_document(text, other, provenance=SOURCE))["provenance"]

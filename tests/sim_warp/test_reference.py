@@ -43,7 +43,7 @@ def hanging():
             "pulley_radius", "swivel_axis", "run_length", "axial_stiffness", "axial_damping",
             "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max",
             "winch_lag", "length_min", "length_max", "exit_friction", "anchor_friction",
-            "length_hysteresis",
+            "capstan_friction", "length_hysteresis",
         )
     }  # fmt: skip
     per_cable["axial_stiffness"] = np.full(4, 1e5)

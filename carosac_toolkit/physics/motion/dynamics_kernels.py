@@ -9,9 +9,12 @@ of a straight cable that swings about its exit, and so does its air drag.
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
+    ONE,
     ZERO,
+    SettledCable,
     density_of,
     guess_cable,
+    pulley_wrap,
     settle,
     vec6d,
 )
@@ -36,6 +39,13 @@ from carosac_toolkit.physics.motion.body_kernels import (
     scheme_of,
     solve_system,
     world_inertia,
+)
+from carosac_toolkit.physics.motion.capstan_kernels import (
+    Run,
+    capstan_exponent,
+    free_run,
+    grips,
+    stretched,
 )
 from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
 from carosac_toolkit.physics.motion.winch_kernels import resting
@@ -74,6 +84,8 @@ MOTION_CLOSURE_MAX = wp.constant(
     wp.float64(1.0e-6)
 )  # of the typical length: a larger closure asks for another step
 SAGGING_MODEL = wp.constant(0)
+RUN_CORRECTIONS_MAX = wp.constant(8)  # of what friction on the pulley keeps from the run
+RUN_CORRECTION_MIN = wp.constant(wp.float64(1.0e-10))  # of the typical length
 RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
 
 
@@ -96,13 +108,13 @@ class Pull:
     gap: wp.float64  # [m]
     q: wp.vec3d
     inverse: wp.mat33d
+    run: Run
 
 
 @wp.func
-def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
-                 length: wp.float64, rate: wp.float64, reach: wp.float64,
-                 size: wp.float64) -> Pull:  # fmt: skip
-    """Evaluate an elastic catenary with axial damping: damping / EA times the rate of tension."""
+def closed(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, length: wp.float64,
+           size: wp.float64) -> SettledCable:  # fmt: skip
+    """Close a catenary so far that a correction of first order closes it altogether."""
     s = settle(q, anchor, length, cable, LOOSE_CLOSURE_MAX * size, MOTION_CABLE_STEPS_MAX)
     rest = s.inverse * s.hanging.closure
     if not wp.length(rest) < FIRST_ORDER_CORRECTION_MAX * wp.length(s.q):
@@ -114,39 +126,91 @@ def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d
             TIGHT_CLOSURE_MAX * size,
             MOTION_CABLE_STEPS_MAX,
         )
-        rest = s.inverse * s.hanging.closure
-    force = s.hanging.force - s.hanging.force_q * rest
-    k = cable_stiffness(s.hanging, s.inverse)
+    return s
+
+
+@wp.func
+def sagging_pull(cable: Cable, run: Run, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
+                 length: wp.float64, rate: wp.float64, reach: wp.float64,
+                 size: wp.float64) -> Pull:  # fmt: skip
+    """Evaluate an elastic catenary with axial damping: damping / EA times the rate of tension.
+
+    What friction on the pulley keeps from the run, or adds to it, is cable that hangs or does not.
+    """
     out = Pull()
+    soft = cable.run_length / cable.axial_stiffness
+    shift = wp.float64(0.0)  # of the length, by what the run is stretched more than without
+    stiffer = wp.float64(0.0)
+    if grips(cable) and run.known == 1:
+        exponent = capstan_exponent(cable, pulley_wrap(q, cable).angle)
+        tension = wp.length(q)
+        out.run = stretched(cable, run, length, exponent, ZERO, ONE, soft * tension).run
+        shift = (out.run.stretch - soft * tension) / (ONE + tension / cable.axial_stiffness)
+    s = closed(cable, q, anchor, length + shift, size)
+    if grips(cable):
+        nearer = s.q - s.inverse * s.hanging.closure
+        tension = wp.length(nearer)
+        out.run = free_run(soft * tension, length)
+        count = int(0)
+        going = run.known == 1
+        while going:
+            exponent = capstan_exponent(cable, pulley_wrap(nearer, cable).angle)
+            pulled = stretched(cable, run, length, exponent, ZERO, ONE, soft * tension)
+            out.run = pulled.run
+            n = wp.normalize(s.hanging.force)
+            along = wp.dot(n, cable_stiffness(s.hanging, s.inverse) * n)
+            less = soft / pulled.slope - soft
+            stiffer = -less * along * along / (ONE + less * along)
+            strained = ONE + tension / cable.axial_stiffness
+            miss = pulled.run.stretch - soft * tension - shift * strained
+            count += 1
+            going = wp.abs(miss) > RUN_CORRECTION_MIN * size and count < RUN_CORRECTIONS_MAX
+            if going:
+                shift += miss / (ONE + less * along)
+                s = closed(cable, nearer, anchor, length + shift, size)
+                nearer = s.q - s.inverse * s.hanging.closure
+                tension = wp.length(nearer)
+    rest = s.inverse * s.hanging.closure
+    force = s.hanging.force - s.hanging.force_q * rest
+    n = wp.normalize(force)
+    k = cable_stiffness(s.hanging, s.inverse)
     out.gap = wp.length(s.hanging.closure)
     out.q = s.q - rest
     out.inverse = s.inverse
-    n = wp.normalize(force)
     paid = s.hanging.force_q * (s.inverse * s.hanging.closure_l)  # -d force / d length, but weight
     along = -wp.dot(n, k * velocity) - rate * (
         wp.dot(n, paid) + cable.weight_per_length * n[2]
     )  # rate of the tension [N/s]
     time = cable.axial_damping / cable.axial_stiffness
     out.force = force + (time * along) * n
-    out.stiffness = k + (time / reach * wp.dot(n, k * n)) * wp.outer(n, n)
+    out.stiffness = k + (stiffer + time / reach * wp.dot(n, k * n)) * wp.outer(n, n)
     return out
 
 
 @wp.func
-def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
+def straight_pull(cable: Cable, run: Run, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
                   rate: wp.float64, reach: wp.float64) -> Pull:  # fmt: skip
     """Evaluate a straight massless spring that does not push, with axial damping."""
-    span, _wrap, unit, bend, _valid = straight_cable(
+    span, wrap, unit, bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
     whole = length + cable.run_length
     out = Pull()
-    tension = (
-        cable.axial_stiffness * (span - length)
-        + cable.axial_damping * (wp.dot(unit, velocity) - rate)
-    ) / whole
+    elastic = cable.axial_stiffness * (span - length)  # over `whole`: the tension
+    stiffness = cable.axial_stiffness
+    if grips(cable):
+        out.run = free_run(cable.run_length * wp.max(span - length, ZERO) / whole, length)
+        if run.known == 1:
+            exponent = capstan_exponent(cable, wrap)
+            pulled = stretched(
+                cable, run, length, exponent, ONE, length / cable.run_length, span - length
+            )
+            out.run = pulled.run
+            elastic = (elastic - cable.axial_stiffness * pulled.run.stretch) * whole / length
+            stiffness = cable.axial_stiffness * (ONE - ONE / pulled.slope) * whole / length
+    tension = (elastic + cable.axial_damping * (wp.dot(unit, velocity) - rate)) / whole
     if span > length and tension > ZERO:
-        k = (cable.axial_stiffness + cable.axial_damping / reach) / whole
+        k = (stiffness + cable.axial_damping / reach) / whole
         out.force = -tension * unit
         out.stiffness = k * wp.outer(unit, unit) + tension * bend
     return out
@@ -183,6 +247,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         if model == SAGGING_MODEL:
             pull = sagging_pull(
                 cable,
+                worlds.bristles[b, i].run,
                 hung.q[b, i],
                 anchor,
                 velocity,
@@ -194,7 +259,10 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
             hung.q[b, i] = pull.q
             hung.inverse[b, i] = pull.inverse
         else:
-            pull = straight_pull(cable, anchor, velocity, winch.length, winch.rate, scheme.reach)
+            pull = straight_pull(
+                cable, worlds.bristles[b, i].run, anchor, velocity, winch.length, winch.rate,
+                scheme.reach,
+            )  # fmt: skip
         out.gap = wp.max(out.gap, pull.gap)
         hung.tension[b, i] = wp.length(pull.force)
         force = pull.force
@@ -213,7 +281,9 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
                 total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
             )
             total = rubbing.system
-            hung.bristles[b, i] = rubbing.bristles
+            bristles = rubbing.bristles
+            bristles.run = pull.run
+            hung.bristles[b, i] = bristles
     out.system = total
     return out
 

@@ -8,6 +8,7 @@ once they are bent by `PRESLIDING_ANGLE`: with the slip s of a time step the ben
 which solves Dahl's law dz = ds - z |ds| / PRESLIDING_ANGLE for a slip in one direction. The moment
 is the dry one times z / PRESLIDING_ANGLE: a spring for small slips, Coulomb friction for large
 ones, at every speed alike. The bristles never give back more energy than they took.
+`capstan_kernels` has the friction of a cable on its pulley.
 
 Two moments rub at each cable. At its exit the swivel of a pulley resists turning about its axis,
 and an eyelet turning of the cable in any direction. At its anchor the joint resists turning of the
@@ -24,20 +25,21 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import ONE, ZERO
 from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.motion.body_kernels import BodyMotion, System, attach
+from carosac_toolkit.physics.motion.capstan_kernels import SMALL_SLIP, Run, bend_gain, grips
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 PRESLIDING_ANGLE = wp.constant(wp.float64(0.01))  # [rad]: bend of bristles that slide
-SMALL_SLIP = wp.constant(wp.float64(1.0e-6))  # of it, below which the series is exact to rounding
 DISTANCE_MIN = wp.constant(wp.float64(1.0e-9))  # of the anchor, in typical lengths: no division
 
 
 @wp.struct
 class Bristles:
-    """Bend at both ends of a cable, in W [rad]; each is at right angles to the cable."""
+    """Bend at both ends of a cable, in W [rad], each at right angles to it, and on its pulley."""
 
     exit: wp.vec3d
     anchor: wp.vec3d
+    run: Run
 
 
 @wp.struct
@@ -51,15 +53,7 @@ class Rubbing:
 @wp.func
 def rubs(cable: Cable) -> bool:
     """Return true if a cable has any dry friction."""
-    return cable.exit_friction + cable.anchor_friction > ZERO
-
-
-@wp.func
-def bend_gain(a: wp.float64) -> wp.float64:
-    """Return (1 - exp(-a)) / a for a >= 0."""
-    if a > SMALL_SLIP:
-        return (ONE - wp.exp(-a)) / a
-    return ONE - wp.float64(0.5) * a
+    return cable.exit_friction + cable.anchor_friction > ZERO or grips(cable)
 
 
 @wp.func

@@ -112,6 +112,73 @@ def test_a_swivel_resists_turning_about_its_axis_alone():
     assert np.abs(with_friction[-150:]).max() < 0.9 * np.abs(without[-150:]).max()
 
 
+RUN, COEFFICIENT = 6.0, 0.2  # [m] to the winch, and friction there
+
+
+def with_runs(radius, **friction):
+    """A pendulum whose cables come in along y, over pulleys or eyelets, from winches far away."""
+    robot = pendulum(**friction)
+    return replace(
+        robot, pulley_radius=np.full(4, radius), run_length=np.full(4, RUN),
+        exit_points=robot.exit_points - np.array([0.0, radius, 0.0]),
+        swivel_axis=np.tile([0.0, 1.0, 0.0], (4, 1)), axial_stiffness=np.full(4, 5e3),
+        axial_damping=np.full(4, 1e3),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight", "particles"])
+@pytest.mark.parametrize(("radius", "wrap"), [(0.0, 1.0), (0.05, 0.5 * np.pi)])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_tensions_over_a_pulley_have_the_ratio_of_a_capstan(cables, radius, wrap, way):
+    """Where a winch turns slowly, what the run stretches less lifts the platform (Eytelwein)."""
+    robot = with_runs(radius, capstan_friction=COEFFICIENT)
+    rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    simulator = Simulator(robot, cables=cables)
+    simulator.reset(unstrained_length=rest.unstrained_length)
+    for k in range(40):
+        simulator.follow(rest.unstrained_length + 1e-3 * way * (k + 1), 0.5)
+    state = simulator.state.numpy()
+    free = ct.statics.forward_kinematics(robot, state.unstrained_length)
+    tension = robot.weight / 4.0
+    strain = tension / robot.axial_stiffness[0]
+    less = (state.position[0, 2] - free.position[0, 2]) / (RUN * strain)
+    assert tension / (tension * (1.0 - less)) == pytest.approx(
+        np.exp(way * COEFFICIENT * wrap), rel=0.01
+    )
+
+
+BOUNCE = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
+
+
+def bouncing(coefficient, cables, time_step, duration):
+    """Return heights and speeds of a platform that bounces on cables without damping."""
+    robot = with_runs(0.05, capstan_friction=coefficient)
+    robot = replace(robot, axial_damping=np.zeros(4), linear_density=np.full(4, 1e-3))
+    position, _, twist = swing(robot, BOUNCE, duration, cables, time_step)
+    return position[:, 2], twist[:, 2]
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight", "particles"])
+def test_a_cable_that_creeps_over_its_pulley_brakes_bounces(cables):
+    """Their energy falls from one stretch to the next, and stays without friction."""
+    free, braked = (
+        (bouncing(coefficient, cables, 0.002, 6.0)[1] ** 2).reshape(6, -1).max(axis=1)
+        for coefficient in (0.0, COEFFICIENT)
+    )
+    assert free == pytest.approx(free[0], rel=0.05)
+    assert (np.diff(braked) < 0.0).all() and braked[-1] < 0.3 * braked[0]
+
+
+@pytest.mark.parametrize("cables", ["catenary", "particles"])
+def test_models_of_cables_creep_alike_over_pulleys_by_any_time_step(cables):
+    straight, fine, coarse = (
+        bouncing(COEFFICIENT, *model, 2.0)[0]
+        for model in (("straight", 0.001), (cables, 0.001), (cables, 0.002))
+    )
+    assert np.abs(fine - straight).max() < 0.01 * np.ptp(straight)
+    assert np.abs(coarse - fine).max() < 0.01 * np.ptp(straight)
+
+
 @pytest.mark.parametrize("robot", [ct.load_robot("carosac"), hanging(2), hanging(3)])
 def test_friction_never_gives_energy(robot):
     """Sway of any kind fades, from one stretch to the next."""
@@ -119,7 +186,7 @@ def test_friction_never_gives_energy(robot):
     rubbing = replace(
         robot, drag=0.0, angular_drag=0.0, axial_damping=np.zeros(robot.n),
         exit_friction=np.full(robot.n, 0.02 * share),
-        anchor_friction=np.full(robot.n, 0.01 * share),
+        anchor_friction=np.full(robot.n, 0.01 * share), capstan_friction=np.full(robot.n, 0.1),
     )  # fmt: skip
     _, rotation, twist = swing(rubbing, [0.4, -0.2, 0.0, 0.3, 0.4, -0.5], 15.0)
     speed = twist[:, :3] + np.cross(twist[:, 3:], rotation @ robot.center_of_mass)

@@ -1,0 +1,135 @@
+"""Friction of a cable on its pulley, in float64 Warp: the capstan's ratio of tensions.
+
+A cable that slides over a wrap of theta, with a coefficient mu, has tensions on both sides whose
+ratio is exp(mu theta) (Euler, Eytelwein). What is left of the tension T at the exit stretches the
+run to the winch,
+
+    T exp(-mu theta b) = EA e / run,
+
+by e, with b = 1 where cable slides out and -1 where it slides in. In between bristles hold it, as
+in `friction_kernels`: with the slip s of a time step, which is what the winch pays out and what the
+run stretches more, and a = |s| / d,
+
+    b' = exp(-a) b + (1 - exp(-a)) / a s / d.
+
+They slide once the slip is a tenth of the run's stretch, d: what a smaller share would be is below
+what is known of a run. At an eyelet mu stands for mu theta. Where nothing is known of what was
+before, b is 0, as in statics.
+
+References:
+    Johnson, *Contact Mechanics*, 1985, 8.2 (belt drives).
+    Dahl, *A solid friction model*, The Aerospace Corporation, 1968.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable.catenary_kernels import ONE, ZERO
+from carosac_toolkit.physics.device_kernels import Cable
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+SLIDING_SHARE = wp.constant(wp.float64(0.1))  # of the run's stretch: slip after which it slides
+STRETCH_MIN = wp.constant(wp.float64(1.0e-12))  # of the run: no division
+RUN_STEPS_MAX = wp.constant(60)  # steps of Newton or bisection
+RUN_TOLERANCE = wp.constant(wp.float64(1.0e-14))  # of the largest stretch
+SMALL_SLIP = wp.constant(wp.float64(1.0e-6))  # of d, below which the series is exact to rounding
+
+
+@wp.struct
+class Run:
+    """The run of a cable at the end of a time step."""
+
+    bend: wp.float64  # of the bristles, -1 to 1
+    stretch: wp.float64  # [m]
+    length: wp.float64  # unstrained, that the winch has paid out [m]
+    known: int  # 0: nothing is known of the past
+
+
+@wp.struct
+class PulledRun:
+    """A run at a trial."""
+
+    run: Run
+    slope: wp.float64  # of what `stretched` solves, by the stretch
+
+
+@wp.func
+def grips(cable: Cable) -> bool:
+    """Return true if the friction of the cable on its pulley shows: it has a run that stretches."""
+    return cable.capstan_friction > ZERO and cable.run_length > ZERO
+
+
+@wp.func
+def bend_gain(a: wp.float64) -> wp.float64:
+    """Return (1 - exp(-a)) / a for a >= 0."""
+    if a > SMALL_SLIP:
+        return (ONE - wp.exp(-a)) / a
+    return ONE - wp.float64(0.5) * a
+
+
+@wp.func
+def capstan_exponent(cable: Cable, wrap: wp.float64) -> wp.float64:
+    """Return mu theta of a cable that wraps its pulley by an angle [rad]; mu at an eyelet."""
+    if cable.pulley_radius > ZERO:
+        return cable.capstan_friction * wp.max(wrap, ZERO)
+    return cable.capstan_friction
+
+
+@wp.func
+def free_run(stretch: wp.float64, length: wp.float64) -> Run:
+    """Return a run of which nothing is known but how far it is stretched."""
+    out = Run()
+    out.stretch = stretch
+    out.length = length
+    out.known = 1
+    return out
+
+
+@wp.func
+def stretched(cable: Cable, run: Run, length: wp.float64, exponent: wp.float64, alone: wp.float64,
+              pulled: wp.float64, right: wp.float64) -> PulledRun:  # fmt: skip
+    """Solve alone e + pulled e exp(exponent b(e)) = right for the stretch e of a run.
+
+    The left side grows with e. The second term is `pulled` run / EA times the tension at the exit.
+
+    Args:
+        cable: The cable; see `grips`.
+        run: At the start of the time step, known.
+        length: Unstrained, that the winch has paid out at its end [m].
+        exponent: See `capstan_exponent`.
+        alone: >= 0.
+        pulled: > 0.
+        right: [m]; the run is slack where it is not positive.
+    """
+    out = PulledRun()
+    slide = SLIDING_SHARE * wp.max(run.stretch, STRETCH_MIN * cable.run_length)
+    paid = length - run.length - run.stretch
+    low = ZERO
+    high = wp.max(right, ZERO) / (alone + pulled * wp.exp(-exponent))
+    most = high
+    e = wp.clamp(wp.max(right, ZERO) / (alone + pulled), low, high)
+    count = int(0)
+    going = bool(True)
+    while going:
+        slip = paid + e
+        a = wp.abs(slip) / slide
+        out.run.bend = wp.exp(-a) * run.bend + bend_gain(a) * slip / slide
+        growth = wp.exp(-a) * (ONE - wp.sign(slip) * run.bend) / slide
+        ratio = wp.exp(exponent * out.run.bend)
+        out.slope = alone + pulled * ratio * (ONE + e * exponent * growth)
+        miss = alone * e + pulled * e * ratio - right
+        if miss > ZERO:
+            high = e
+        else:
+            low = e
+        new = e - miss / out.slope
+        if not (new >= low and new <= high):
+            new = wp.float64(0.5) * (low + high)
+        count += 1
+        going = wp.abs(new - e) > RUN_TOLERANCE * most and count < RUN_STEPS_MAX
+        if going:
+            e = new
+    out.run.stretch = e
+    out.run.length = length
+    out.run.known = 1
+    return out
