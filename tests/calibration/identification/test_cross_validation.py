@@ -143,11 +143,11 @@ def robot():
     return ct.load_robot("carosac")
 
 
-def tried(robot, plant):
-    """Identify a plant from one run, with products of inertia as candidates."""
+def tried(robot, plant, candidate="inertia_products"):
+    """Identify a plant from one run, with some parameters as candidates."""
     run = simulate_run(plant, 4, RunSettings(condition="none", moves=4, rate=20.0)).recording
     span = (0, len(run.time))
-    return identify(run, robot, FEW, train=span, candidates=["inertia_products"])
+    return identify(run, robot, FEW, train=span, candidates=[candidate])
 
 
 def test_products_of_inertia_are_kept_where_the_body_has_them(robot):
@@ -159,6 +159,14 @@ def test_products_of_inertia_are_kept_where_the_body_has_them(robot):
     assert any("inertia_products kept: " in line for line in found.sentences())
     off = found.robot.inertia - skew
     assert np.linalg.norm(off) < np.linalg.norm(robot.inertia - skew)
+
+
+def test_friction_on_pulleys_is_found_where_runs_stretch(robot):
+    soft = replace(robot, run_length=np.full(4, 6.0), axial_stiffness=np.full(4, 2e4))
+    found = tried(soft, replace(soft, capstan_friction=np.full(4, 0.15)), "capstan_friction")
+    assert found.candidates[0].kept and found.candidates[0].gain > 0.5
+    row = found.estimate.names.index("capstan_friction")
+    assert abs(found.estimate.value[row] - 0.15) < 3.0 * found.estimate.sigma[row] < 0.05
 
 
 def test_they_stay_as_in_the_robot_file_where_it_has_none(robot, monkeypatch):
