@@ -47,7 +47,6 @@ from carosac_toolkit.physics.motion.body_kernels import (
 from carosac_toolkit.physics.motion.capstan_kernels import (
     Run,
     capstan_exponent,
-    free_run,
     grips,
     stretched,
 )
@@ -286,18 +285,15 @@ def first_segment(cable: Cable, run: Run, length: wp.float64, mesh: CableMesh, l
     stiffness = cable.axial_stiffness
     if grips(cable):
         more = run_strain(cable, mesh, gravity, unit)
-        own = cable.run_length * wp.max(stretch / rest_length + more, ZERO)
-        out.run = free_run(own, length)
-        if run.known == 1:
-            first = mesh.first_length
-            pulled = stretched(
-                cable, run, length, capstan_exponent(cable, wrap), ONE, first / cable.run_length,
-                span - first + first * more,
-            )  # fmt: skip
-            out.run = pulled.run
-            share = cable.axial_stiffness * rest_length / first
-            elastic = share * (span - first - pulled.run.stretch)
-            stiffness = share * (ONE - ONE / pulled.slope)
+        first = mesh.first_length
+        pulled = stretched(
+            cable, run, length, capstan_exponent(cable, wrap), ONE, first / cable.run_length,
+            span - first + first * more,
+        )  # fmt: skip
+        out.run = pulled.run
+        share = cable.axial_stiffness * rest_length / first
+        elastic = share * (span - first - pulled.run.stretch)
+        stiffness = share * (ONE - ONE / pulled.slope)
     if predicted + mesh.mean_mass * scheme.stiff * stretch > ZERO:
         out.unit = unit
         out.axial = (stiffness + cable.axial_damping / scheme.reach) / rest_length
@@ -510,7 +506,8 @@ def accept_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
-        worlds.bristles[b, i] = chains.bristles[s, i]
+        if rubs(cable):
+            worlds.bristles[b, i] = chains.bristles[s, i]
         last = chains.segments - 1
         end_force = chains.end_load[s, i] - chains.predicted[b, i, last] * chains.end_unit[s, i]
         worlds.tension[b, i] = wp.length(end_force)

@@ -242,7 +242,7 @@ class Simulator:
             twist: Velocity with which they start, linear [m/s] then angular [rad/s] of the
                 platform origin in W, shape (K, 6); cables move along. None: at rest.
             sliding: Twist along which the platform moved last, shape (K, 6): where there is dry
-                friction, it has bent what rubs. None: `twist`.
+                friction, it has bent what rubs, but for cables on pulleys. None: `twist`.
             worlds: Indices of K worlds, or a mask of shape (B,); None: all of them.
 
         Raises:

@@ -87,7 +87,8 @@ class Options(CommonOptions):
     columns unstrained_length_01_m ..., frequency_Hz, sigma_Hz, and mode or shape_x_m ..."""
     candidates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Parameters that are kept only where cross-validation wants them, such as inertia_products,
-    angular_drag_axes and cable_drag, and else stay as in the robot file; takes twice as long."""
+    angular_drag_axes, cable_drag and capstan_friction, and else stay as in the robot file; takes
+    twice as long."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; over another one, but not over --robot."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None

@@ -31,7 +31,7 @@ def cable_records(robot: Robot) -> NDArray[Any]:
     for name in (
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
         "weight_per_length", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction",
-        "capstan_friction",         "tension_min", "tension_max",
+        "capstan_friction", "tension_min", "tension_max",
     ):  # fmt: skip
         records[name] = getattr(robot, f"{name}s" if name.endswith("point") else name)
     return records

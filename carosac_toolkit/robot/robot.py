@@ -67,7 +67,7 @@ class Robot:
         anchor_friction: Dry moment between cable and platform at the anchor [N m], the same shape.
         capstan_friction: Friction coefficient mu of the cable where it wraps its pulley by an angle
             theta: sliding, tensions on both sides have the ratio exp(mu theta); at an eyelet,
-            exp(mu) [1], the same shape.
+            exp(mu) [1], the same shape; at most 2.
         length_hysteresis: By how much less cable a winch has paid out than it has turned for, after
             it has paid out for long; more after winding in [m], the same shape.
         cable_diameter: [m], shape (n,).
@@ -260,6 +260,11 @@ class Robot:
                 index = int(np.argmax(bad))
                 where = f"{name}[{index}]" if np.ndim(value) else name
                 raise InvalidField(where, entries[index], f"{name} {'>' if strict else '>='} 0")
+        much = self.capstan_friction > CAPSTAN_FRICTION_MAX
+        if much.any():
+            index = int(np.argmax(much))
+            allowed = f"capstan_friction <= {CAPSTAN_FRICTION_MAX:g}"
+            raise InvalidField(f"capstan_friction[{index}]", self.capstan_friction[index], allowed)
 
     def _check_order(self) -> None:
         """Refuse limits whose lower end is not below the upper one."""
@@ -337,6 +342,7 @@ _CABLE_FIELDS = (
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",
     "length_min", "length_max",
 )  # fmt: skip
+CAPSTAN_FRICTION_MAX = 2.0  # coefficients of cables on pulleys are below 1
 DRY_FIELDS = (
     "exit_friction", "anchor_friction", "capstan_friction", "length_hysteresis"
 )  # fmt: skip  # 0 where not given

@@ -63,6 +63,7 @@ def test_what_a_model_misses_scales():
 def test_every_field_with_a_unit_scales():
     assert unscaled_fields() == {
         "name", "cable_names", "swivel_axis", "gravity", "home_rotation", "description", "licence",
-        "angular_drag_axes", "provenance", "drum_gear", "drum_advantage", "length_scale",
-        "pose_rotation", "hardware", "calibrated", "calibration_covariance", "model_error",
+        "angular_drag_axes", "capstan_friction", "provenance", "drum_gear", "drum_advantage",
+        "length_scale", "pose_rotation", "hardware", "calibrated", "calibration_covariance",
+        "model_error",
     }  # fmt: skip

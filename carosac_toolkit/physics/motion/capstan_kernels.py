@@ -42,7 +42,7 @@ class Run:
     bend: wp.float64  # of the bristles, -1 to 1
     stretch: wp.float64  # [m]
     length: wp.float64  # unstrained, that the winch has paid out [m]
-    known: int  # 0: nothing is known of the past
+    known: int  # 0: of the past only the bend is known, and nothing slips yet
 
 
 @wp.struct
@@ -51,6 +51,7 @@ class PulledRun:
 
     run: Run
     slope: wp.float64  # of what `stretched` solves, by the stretch
+    miss: wp.float64  # of it [m]
 
 
 @wp.func
@@ -76,16 +77,6 @@ def capstan_exponent(cable: Cable, wrap: wp.float64) -> wp.float64:
 
 
 @wp.func
-def free_run(stretch: wp.float64, length: wp.float64) -> Run:
-    """Return a run of which nothing is known but how far it is stretched."""
-    out = Run()
-    out.stretch = stretch
-    out.length = length
-    out.known = 1
-    return out
-
-
-@wp.func
 def stretched(cable: Cable, run: Run, length: wp.float64, exponent: wp.float64, alone: wp.float64,
               pulled: wp.float64, right: wp.float64) -> PulledRun:  # fmt: skip
     """Solve alone e + pulled e exp(exponent b(e)) = right for the stretch e of a run.
@@ -94,7 +85,7 @@ def stretched(cable: Cable, run: Run, length: wp.float64, exponent: wp.float64, 
 
     Args:
         cable: The cable; see `grips`.
-        run: At the start of the time step, known.
+        run: At the start of the time step.
         length: Unstrained, that the winch has paid out at its end [m].
         exponent: See `capstan_exponent`.
         alone: >= 0.
@@ -108,28 +99,33 @@ def stretched(cable: Cable, run: Run, length: wp.float64, exponent: wp.float64, 
     high = wp.max(right, ZERO) / (alone + pulled * wp.exp(-exponent))
     most = high
     e = wp.clamp(wp.max(right, ZERO) / (alone + pulled), low, high)
+    step = high - low
     count = int(0)
     going = bool(True)
     while going:
-        slip = paid + e
-        a = wp.abs(slip) / slide
-        out.run.bend = wp.exp(-a) * run.bend + bend_gain(a) * slip / slide
-        growth = wp.exp(-a) * (ONE - wp.sign(slip) * run.bend) / slide
+        out.run.bend = run.bend
+        growth = wp.float64(0.0)
+        if run.known == 1:
+            slip = paid + e
+            a = wp.abs(slip) / slide
+            out.run.bend = wp.exp(-a) * run.bend + bend_gain(a) * slip / slide
+            growth = wp.exp(-a) * (ONE - wp.sign(slip) * run.bend) / slide
         ratio = wp.exp(exponent * out.run.bend)
         out.slope = alone + pulled * ratio * (ONE + e * exponent * growth)
-        miss = alone * e + pulled * e * ratio - right
-        if miss > ZERO:
+        out.run.stretch = e
+        out.miss = alone * e + pulled * e * ratio - right
+        if out.miss > ZERO:
             high = e
         else:
             low = e
-        new = e - miss / out.slope
-        if not (new >= low and new <= high):
-            new = wp.float64(0.5) * (low + high)
+        move = -out.miss / out.slope
+        inside = e + move >= low and e + move <= high
+        if not (inside and wp.abs(move) < wp.float64(0.5) * wp.abs(step)):
+            move = wp.float64(0.5) * (low + high) - e  # where the slope changes its side, it cycles
+        step = move
+        e += move
         count += 1
-        going = wp.abs(new - e) > RUN_TOLERANCE * most and count < RUN_STEPS_MAX
-        if going:
-            e = new
-    out.run.stretch = e
+        going = wp.abs(move) > RUN_TOLERANCE * most and count < RUN_STEPS_MAX
     out.run.length = length
     out.run.known = 1
     return out

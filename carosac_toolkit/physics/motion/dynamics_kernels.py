@@ -9,13 +9,8 @@ of a straight cable that swings about its exit, and so does its air drag.
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
-    ONE,
     ZERO,
-    SettledCable,
     density_of,
-    guess_cable,
-    pulley_wrap,
-    settle,
     vec6d,
 )
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
@@ -40,14 +35,9 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
     world_inertia,
 )
-from carosac_toolkit.physics.motion.capstan_kernels import (
-    Run,
-    capstan_exponent,
-    free_run,
-    grips,
-    stretched,
-)
+from carosac_toolkit.physics.motion.capstan_kernels import grips
 from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
+from carosac_toolkit.physics.motion.pull_kernels import Pull, sagging_pull, straight_pull
 from carosac_toolkit.physics.motion.winch_kernels import resting
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
@@ -65,27 +55,16 @@ from carosac_toolkit.physics.motion.world_kernels import (
     turn_back,
     turn_winches,
 )
-from carosac_toolkit.physics.rest.platform_kernels import cable_stiffness
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MOTION_CABLE_STEPS_MAX = wp.constant(60)  # steps of one cable
-LOOSE_CLOSURE_MAX = wp.constant(
-    wp.float64(1.0e-3)
-)  # of the typical length: a larger closure is closed first
 SNAP_TENSION_CHANGE = wp.constant(
     wp.float64(0.5)
 )  # share by which a tension changes in a step that snaps
-TIGHT_CLOSURE_MAX = wp.constant(wp.float64(1.0e-12))
-FIRST_ORDER_CORRECTION_MAX = wp.constant(
-    wp.float64(0.3)
-)  # of q: a larger correction is not of first order any more
 MOTION_CLOSURE_MAX = wp.constant(
     wp.float64(1.0e-6)
 )  # of the typical length: a larger closure asks for another step
 SAGGING_MODEL = wp.constant(0)
-RUN_CORRECTIONS_MAX = wp.constant(8)  # of what friction on the pulley keeps from the run
-RUN_CORRECTION_MIN = wp.constant(wp.float64(1.0e-10))  # of the typical length
 RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
 
 
@@ -97,123 +76,6 @@ class Hung:
     inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
     tension: wp.array2d(dtype=wp.float64)  # scratch: at the anchor point [N]
     bristles: wp.array2d(dtype=Bristles)  # scratch: at the end of the step
-
-
-@wp.struct
-class Pull:
-    """Action of one cable on its anchor point."""
-
-    force: wp.vec3d  # [N]
-    stiffness: wp.mat33d  # -d force / d anchor within a time step, symmetric [N/m]
-    gap: wp.float64  # [m]
-    q: wp.vec3d
-    inverse: wp.mat33d
-    run: Run
-
-
-@wp.func
-def closed(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, length: wp.float64,
-           size: wp.float64) -> SettledCable:  # fmt: skip
-    """Close a catenary so far that a correction of first order closes it altogether."""
-    s = settle(q, anchor, length, cable, LOOSE_CLOSURE_MAX * size, MOTION_CABLE_STEPS_MAX)
-    rest = s.inverse * s.hanging.closure
-    if not wp.length(rest) < FIRST_ORDER_CORRECTION_MAX * wp.length(s.q):
-        s = settle(
-            guess_cable(anchor, length, cable),
-            anchor,
-            length,
-            cable,
-            TIGHT_CLOSURE_MAX * size,
-            MOTION_CABLE_STEPS_MAX,
-        )
-    return s
-
-
-@wp.func
-def sagging_pull(cable: Cable, run: Run, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
-                 length: wp.float64, rate: wp.float64, reach: wp.float64,
-                 size: wp.float64) -> Pull:  # fmt: skip
-    """Evaluate an elastic catenary with axial damping: damping / EA times the rate of tension.
-
-    What friction on the pulley keeps from the run, or adds to it, is cable that hangs or does not.
-    """
-    out = Pull()
-    soft = cable.run_length / cable.axial_stiffness
-    shift = wp.float64(0.0)  # of the length, by what the run is stretched more than without
-    stiffer = wp.float64(0.0)
-    if grips(cable) and run.known == 1:
-        exponent = capstan_exponent(cable, pulley_wrap(q, cable).angle)
-        tension = wp.length(q)
-        out.run = stretched(cable, run, length, exponent, ZERO, ONE, soft * tension).run
-        shift = (out.run.stretch - soft * tension) / (ONE + tension / cable.axial_stiffness)
-    s = closed(cable, q, anchor, length + shift, size)
-    if grips(cable):
-        nearer = s.q - s.inverse * s.hanging.closure
-        tension = wp.length(nearer)
-        out.run = free_run(soft * tension, length)
-        count = int(0)
-        going = run.known == 1
-        while going:
-            exponent = capstan_exponent(cable, pulley_wrap(nearer, cable).angle)
-            pulled = stretched(cable, run, length, exponent, ZERO, ONE, soft * tension)
-            out.run = pulled.run
-            n = wp.normalize(s.hanging.force)
-            along = wp.dot(n, cable_stiffness(s.hanging, s.inverse) * n)
-            less = soft / pulled.slope - soft
-            stiffer = -less * along * along / (ONE + less * along)
-            strained = ONE + tension / cable.axial_stiffness
-            miss = pulled.run.stretch - soft * tension - shift * strained
-            count += 1
-            going = wp.abs(miss) > RUN_CORRECTION_MIN * size and count < RUN_CORRECTIONS_MAX
-            if going:
-                shift += miss / (ONE + less * along)
-                s = closed(cable, nearer, anchor, length + shift, size)
-                nearer = s.q - s.inverse * s.hanging.closure
-                tension = wp.length(nearer)
-    rest = s.inverse * s.hanging.closure
-    force = s.hanging.force - s.hanging.force_q * rest
-    n = wp.normalize(force)
-    k = cable_stiffness(s.hanging, s.inverse)
-    out.gap = wp.length(s.hanging.closure)
-    out.q = s.q - rest
-    out.inverse = s.inverse
-    paid = s.hanging.force_q * (s.inverse * s.hanging.closure_l)  # -d force / d length, but weight
-    along = -wp.dot(n, k * velocity) - rate * (
-        wp.dot(n, paid) + cable.weight_per_length * n[2]
-    )  # rate of the tension [N/s]
-    time = cable.axial_damping / cable.axial_stiffness
-    out.force = force + (time * along) * n
-    out.stiffness = k + (stiffer + time / reach * wp.dot(n, k * n)) * wp.outer(n, n)
-    return out
-
-
-@wp.func
-def straight_pull(cable: Cable, run: Run, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
-                  rate: wp.float64, reach: wp.float64) -> Pull:  # fmt: skip
-    """Evaluate a straight massless spring that does not push, with axial damping."""
-    span, wrap, unit, bend, _valid = straight_cable(
-        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
-    )
-    whole = length + cable.run_length
-    out = Pull()
-    elastic = cable.axial_stiffness * (span - length)  # over `whole`: the tension
-    stiffness = cable.axial_stiffness
-    if grips(cable):
-        out.run = free_run(cable.run_length * wp.max(span - length, ZERO) / whole, length)
-        if run.known == 1:
-            exponent = capstan_exponent(cable, wrap)
-            pulled = stretched(
-                cable, run, length, exponent, ONE, length / cable.run_length, span - length
-            )
-            out.run = pulled.run
-            elastic = (elastic - cable.axial_stiffness * pulled.run.stretch) * whole / length
-            stiffness = cable.axial_stiffness * (ONE - ONE / pulled.slope) * whole / length
-    tension = (elastic + cable.axial_damping * (wp.dot(unit, velocity) - rate)) / whole
-    if span > length and tension > ZERO:
-        k = (stiffness + cable.axial_damping / reach) / whole
-        out.force = -tension * unit
-        out.stiffness = k * wp.outer(unit, unit) + tension * bend
-    return out
 
 
 @wp.func
@@ -315,7 +177,8 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
-        worlds.bristles[b, i] = hung.bristles[b, i]
+        if rubs(plants.cables[row, i]):
+            worlds.bristles[b, i] = hung.bristles[b, i]
     worlds.rough[b] = roughness(worlds.rough[b], snap)
 
 
@@ -440,7 +303,9 @@ def release(
         worlds.winch[b, i] = winch
         start_anchor(plants, worlds, b, row, i, start)
         if freed.bent[b] == 1:
-            worlds.bristles[b, i] = freed.bristles[b, i]
+            bristles = freed.bristles[b, i]
+            bristles.run.known = 0  # a length or pose that was corrected is no slip
+            worlds.bristles[b, i] = bristles
     scheme = scheme_of(instant, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()
@@ -465,6 +330,10 @@ def release(
             + wp.cross(omega, wp.cross(omega, arm))
         )
         worlds.tension[b, i] = hung.tension[b, i]
+        if grips(plants.cables[row, i]):
+            bristles = worlds.bristles[b, i]
+            bristles.run = hung.bristles[b, i].run
+            worlds.bristles[b, i] = bristles
     publish(plants, worlds, b, row, 0, 1)
 
 

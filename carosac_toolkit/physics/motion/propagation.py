@@ -44,7 +44,8 @@ class Motions:
         exit_tension: Tension vectors at the exits, from which the shapes of the cables are looked
             for [N], shape (B, n, 3); None: from a guess, which takes several times as long.
         bristles: Bend of the bristles of dry friction (`friction_kernels.Bristles`) from an earlier
-            motion, shape (B, n); None: as if the platform had been sliding at this twist.
+            motion, shape (B, n); None: as if the platform had been sliding at this twist, and no
+            cable over its pulley.
     """
 
     position: Array

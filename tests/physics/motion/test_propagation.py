@@ -95,6 +95,48 @@ def test_pieces_of_a_motion_with_dry_friction_are_the_whole(robot, rest):
     assert away["handed on"] < 0.3 * away["forgotten"]
 
 
+def bounces(robot):
+    """Return a robot that slips over its pulleys as it bounces, at rest, and a kick."""
+    slipping = replace(
+        robot, run_length=np.full(4, 6.0), axial_stiffness=np.full(4, 2e4),
+        axial_damping=np.zeros(4), capstan_friction=np.full(4, 0.2),
+    )  # fmt: skip
+    rest = ct.statics.inverse_kinematics(slipping, POINT)
+    return slipping, rest, np.array([[0.0, 0.0, 0.2, 0.0, 0.0, 0.0]])
+
+
+def test_pieces_of_a_bounce_slip_over_pulleys_as_the_whole(robot):
+    slipping, rest, kick = bounces(robot)
+    length = rest.unstrained_length
+    sims = [
+        Simulator(each, cables="catenary", time_step=1e-3)
+        for each in (slipping, replace(slipping, capstan_friction=np.zeros(4)))
+    ]
+    pieces, now = Propagation(slipping, 1), let_go(rest, kick)
+    for sim in sims:
+        sim.reset(POINT, twist=kick)
+    away = np.zeros(2)
+    for _ in range(60):
+        now = pieces.run(now, length, length, 0.02)
+        for k, sim in enumerate(sims):
+            sim.follow(length, 0.02)
+            here = sim.state.numpy().position
+            away[k] = max(away[k], float(np.abs(now.position - here).max()))
+    assert away[0] < 0.1 * away[1]
+
+
+def test_a_length_that_is_corrected_is_no_slip_over_a_pulley(robot):
+    """As an estimator corrects the zero of an encoder, and where the platform is by that."""
+    slipping, rest, _ = bounces(robot)
+    pieces = Propagation(slipping, 1)
+    now = pieces.run(let_go(rest, np.zeros((1, 6))), *[rest.unstrained_length] * 2, 0.05)
+    other = rest.unstrained_length + 1e-3
+    moved = ct.statics.forward_kinematics(slipping, other, guess=rest)
+    now = replace(now, position=moved.position, rotation=moved.rotation)
+    after = pieces.run(now, other, other, 0.1)
+    assert np.abs(after.position - moved.position).max() < 1e-6
+
+
 def test_sway_has_the_natural_frequency(robot, rest):
     modes = natural_modes(robot, rest)
     period = 1.0 / modes.frequency[0, 0]
