@@ -325,7 +325,7 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
 def test_what_is_held_out_costs_what_its_best_start_does(near):
     fitter, at, errors, noise, wide, _ = near
     count, rows = fitter._count, fitter._own[2][fitter._count :]
-    fold = fitter._fold(2, noise, errors[2], wide.exact[2])
+    fold = fitter._fold(2, Judge(noise=noise), errors[2], wide.exact[2])
     apart = fitter._with_start(2, at, fold).least_beside(count)
 
     def cost(start):
