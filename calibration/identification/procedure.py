@@ -68,6 +68,9 @@ Range = tuple[int, int]
 # Mean of the error of orientation, above which the tracked body is turned on the platform.
 BODY_TURN_MIN_RAD = 0.035
 BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
+# The same of positions, above which another point is tracked.
+POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
+POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
@@ -327,6 +330,7 @@ def _identify(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
             *_turned_body(told_runs, told_after),
+            *_moved_point(robot, told_runs, told_after),
             *(() if compared is None else compared.warnings()),
         ),
         estimate=estimate,
@@ -698,12 +702,32 @@ def _left_out(names: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _turned_body(runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]:
-    """Warn of poses whose body is turned against the platform: a constant error of orientation."""
-    fitted = np.concatenate([
+def _fitted(runs: Sequence[_Run], errors: Sequence[Array]) -> Array:
+    """Return the errors of all poses that were fitted, (K, 6)."""
+    return np.concatenate([
         each[_rows(run.poses, *run.part.train)]
         for run, each in zip(runs, errors, strict=True) if run.part.train is not None
     ])  # fmt: skip
+
+
+def _moved_point(robot: Robot, runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]:
+    """Warn of poses of another point than the platform's: a constant error of position."""
+    fitted = _fitted(runs, errors)[:, :3]
+    shift = -fitted.mean(axis=0)
+    spread = float(np.sqrt(fitted.var(axis=0).sum()))
+    least = POINT_SHIFT_MIN.of(Scales(robot).ratios)
+    if np.linalg.norm(shift) > max(least, POINT_SHIFT_SIGMAS * spread):
+        x, y, z = 1e3 * shift
+        yield (
+            f"the measured positions are ({x:.0f}, {y:.0f}, {z:.0f}) mm in W from the identified "
+            "platform all the time: is the tracked point the origin of the platform frame, and is "
+            "the frame of the poses W? Its parameters cannot be trusted until they are"
+        )
+
+
+def _turned_body(runs: Sequence[_Run], errors: Sequence[Array]) -> Iterator[str]:
+    """Warn of poses whose body is turned against the platform: a constant error of orientation."""
+    fitted = _fitted(runs, errors)
     turn = -fitted[:, 3:].mean(axis=0)  # of the tracked body, in the axes of the platform
     spread = float(np.sqrt(fitted[:, 3:].var(axis=0).sum()))
     angle = float(np.linalg.norm(turn))

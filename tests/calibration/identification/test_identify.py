@@ -92,6 +92,15 @@ def test_a_body_that_is_turned_on_the_platform_is_named(robot, run):
     assert any("turned against the identified platform" in line for line in found.warnings)
 
 
+def test_another_point_that_is_tracked_is_named_where_nothing_else_explains_it(robot, run):
+    """By less than what is refused before the fit, in a direction that no zero of a length has."""
+    poses = run.recording.poses
+    moved = replace(poses, position=poses.position + np.array([0.0, 0.08, 0.0]))
+    found = identify(replace(run.recording, poses=moved), robot, FEW, train=(0, 300))
+    text = " ".join(found.warnings)
+    assert "the measured positions are (" in text and "is the tracked point the origin" in text
+
+
 def test_numbers_are_ready_for_json_and_sentences_for_people(found):
     data = found.data()
     assert set(data["test"]["rmse_m"]) == {"x", "y", "z", "norm"}
