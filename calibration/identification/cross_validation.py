@@ -120,9 +120,10 @@ class Folds:
             without: Of the fit without them, by the judge of these.
             judged: What was chosen.
         """
-        both, nothing = set(self.places) & set(without.places), np.zeros(len(self.at), np.bool_)
-        with_them = self.only(both).held_out(nothing)
-        without_them = without.only(both).held_out(np.zeros(len(without.at), np.bool_))
+        both = set(self.places) & set(without.places)
+        with_them, without_them = (
+            each.only(both).held_out(np.zeros(len(each.at), np.bool_)) for each in (self, without)
+        )
         gains = without_them - with_them
         error = float(np.sqrt(len(gains)) * gains.std(ddof=1))
         if gains.sum() <= error:
