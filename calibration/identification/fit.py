@@ -342,7 +342,7 @@ class Fitter:
                 if steps and self._sways:
                     at, errors = self._found_again(at, errors, noise)
             ended = settled or stuck
-            if ended and final:
+            if ended and final and not self._renewed(coarse):
                 break
             if ended or count == ROUGH_STEPS_MAX:
                 if rough:
@@ -353,6 +353,13 @@ class Fitter:
                 coarse &= not (ended or rough)
         settled &= final
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
+
+    def _renewed(self, coarse: bool) -> bool:
+        """Have derivatives over some sigmas taken anew if they are along rough axes; say so."""
+        if coarse or self._wide is None or not self._wide.rough_axes:
+            return False
+        self._wide = replace(self._wide, dropped=True)
+        return True
 
     def _excess(
         self, state: Search, noise: PoseErrorNoise, information: Array, inverse: Array
@@ -617,7 +624,10 @@ class Fitter:
                 self._fill_alike(each)
         near = self._jacobians(at, coarse=True)
         hidden = self._hidden_vibrations(at, [each[:, :, 0].size for each in rough])
-        return Wide(at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden)
+        return Wide(
+            at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden,
+            rough_axes=self._wide is None,
+        )  # fmt: skip
 
     def _hidden_vibrations(self, at: Array, sizes: Sequence[int]) -> list[Array]:
         """Return what vibrations that noise hides may change, as `hidden_vibrations`.
