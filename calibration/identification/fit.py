@@ -53,7 +53,7 @@ POSE_SHARES = (
 )  # of the poses, from the first: later ones would be out of phase at first
 SHARES_OF_MANY = (0.04, 0.12, 0.35, 1.0)  # of those of many recordings, which may begin with a jolt
 STEPS_PER_SHARE = 4  # for each share but the last
-ROUGH_STEPS_MAX = 4  # with all poses of a sway, before derivatives over sigmas are taken
+ROUGH_STEPS_MAX = 3  # with all poses of a sway, before derivatives over sigmas are taken
 NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
 # Of few recordings together, each of which is held out once; and of each, as a start that is held
@@ -72,9 +72,9 @@ START_TRIES = ((1.0, 0.0), (0.4, 0.0), (1.0, 0.01), (1.0, 0.1))
 # The same where starts alone are searched, from first guesses that may be far off.
 GUESS_TRIES = (*START_TRIES, (1.0, 1.0), (1.0, 10.0))
 FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may leave it
-# Of a typical run's cost: one that costs more starts anew, on the way and where a search has led
-# near. Chance alone leads to 1.5.
-LOST_COST_RATIO, LOST_NEAR_RATIO = 5.0, 2.0
+# Of a typical run's cost: one that costs more starts anew once a search has led near. Chance alone
+# leads to 1.5.
+LOST_COST_RATIO = 2.0
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -141,6 +141,7 @@ class Fitter:
         alone = robot_at is not None  # few are searched as the many were that told the robot
         self._sways = (self._many or alone) and all(run.window for run in self._runs)
         vibrates = self._many and not self._sways
+        self._exact = self._many or self._sways  # errors are of vanishing time steps
         self._time_step = settings.time_step * (MANY_STEP_RATIO if vibrates else 1.0)
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
@@ -176,16 +177,22 @@ class Fitter:
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
 
-    def run(self, report: ProgressCallback) -> CoordinateFit:
+    def run(self, report: ProgressCallback, nearly: Array | None = None) -> CoordinateFit:
         """Search.
 
         Args:
             report: Called before each step with the number of poses that it looks at, and their
                 RMS errors [m] and [rad].
+            nearly: Coordinates (k,) to which `approach` led, from where to begin; None: the prior
+                mean.
 
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
+        if nearly is not None:
+            self._first = np.concatenate([nearly, self._first[self._count :]])
+        if nearly is not None and self._sways:
+            return self._settled(self._started(self._first, POSE_SHARES[:-1]), report)
         return self._settled(self._approached(report), report)
 
     def approach(self, report: ProgressCallback) -> Array:
@@ -196,15 +203,10 @@ class Fitter:
         """
         return self._approached(report)[: self._count]
 
-    def finish(self, coordinates: Array, report: ProgressCallback) -> CoordinateFit:
-        """Search with all poses from coordinates (k,) to which `approach` led; see `run`."""
-        first = np.concatenate([coordinates, self._first[self._count :]])
-        return self._settled(self._started(first, POSE_SHARES[:-1]), report)
-
     def _approached(self, report: ProgressCallback) -> Array:
         """Return all coordinates to which ever more of the poses lead."""
-        whole, at = self._runs, self._started(self._first)
-        shares = SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES
+        whole, at = self._runs, self._first
+        shares = SHARES_OF_MANY if self._many else POSE_SHARES
         for share in shares[:-1]:
             self._runs = tuple(run.first(share) for run in whole)
             at = self._settle(at, STEPS_PER_SHARE, report).at
@@ -339,14 +341,15 @@ class Fitter:
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
-                if steps and self._sways:
-                    at, errors = self._found_again(at, errors, noise)
+            if self._wide is not None and self._by_rough_axes():
+                self._wide, settled = replace(self._wide, dropped=True), False
+                continue
             ended = settled or stuck
-            if ended and final and not self._renewed(coarse):
+            if ended and final:
                 break
             if ended or count == ROUGH_STEPS_MAX:
                 if rough:
-                    at, errors = self._found_again(at, errors, noise, near=True)
+                    at, errors = self._found_again(at, errors, noise)
                     self._leave_out(at, errors)
                     information, _ = self._normal(errors, jacobians, noise)
                     hessian = information + self._precision
@@ -354,12 +357,9 @@ class Fitter:
         settled &= final
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def _renewed(self, coarse: bool) -> bool:
-        """Have derivatives over some sigmas taken anew if they are along rough axes; say so."""
-        if coarse or self._wide is None or not self._wide.rough_axes:
-            return False
-        self._wide = replace(self._wide, dropped=True)
-        return True
+    def _by_rough_axes(self) -> bool:
+        """Say whether derivatives over some sigmas are along rough axes: good for one step."""
+        return self._wide is not None and self._wide.rough_axes
 
     def _excess(
         self, state: Search, noise: PoseErrorNoise, information: Array, inverse: Array
@@ -457,15 +457,15 @@ class Fitter:
         )
 
     def _errors_at(self, at: Array) -> list[Array]:
-        """Return the errors of each run (K, 6), of vanishing time steps where only the sway counts.
+        """Return the errors of each run (K, 6), of vanishing time steps where recordings are many.
 
-        Many recordings tell frequencies better than time steps do that are short enough for a sway.
+        These tell frequencies better than time steps do that are short enough for a motion.
         What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
         """
         points = [at[None]] * len(self._runs)
         errors, good = self._simulated(points)
         self._rest, self._rest_at = [np.zeros(6)] * len(errors), at
-        if self._sways:
+        if self._exact:
             fine, sound = self._simulated(points, refined=2)
             good = [one & other for one, other in zip(good, sound, strict=True)]
             self._rest = [
@@ -591,6 +591,9 @@ class Fitter:
     def _taken_wide(self, at: Array, hessian: Array) -> Wide:
         """Return derivatives over some sigmas to both sides, as of `_jacobians`.
 
+        The first ones lead a step along rough axes: what time steps and vibrations change is left
+        to the next.
+
         Args:
             at: All coordinates.
             hessian: Of the cost, about.
@@ -608,35 +611,41 @@ class Fitter:
         ]
         ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
         errors, good = self._simulated(points)
-        finer, fine = self._simulated(ahead, refined=2)
-        rough, exact = [], []
+        changes = [move.change(each) for move, each in zip(moves, errors, strict=True)]
+        rough_axes = self._wide is None
+        more = [np.zeros((1, 1, 1))] * len(moves)
+        if not rough_axes:
+            ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
+            finer, fine = self._simulated(ahead, refined=2)
+            for k, own in enumerate(fine):
+                good[k][: len(own)] &= own
+                beyond = finer[k] - errors[k][: len(own)]
+                more[k] = 4.0 / 3.0 * (beyond[1:] - beyond[0])
+        rough: list[Array] = []
+        exact: list[Array] = []
         for k, (move, rows) in enumerate(zip(moves, varied, strict=True)):
-            sound = good[k].copy()
-            sound[: len(fine[k])] &= fine[k]
-            self._simulator.check_motion(sound, rows, np.concatenate([move.steps, -move.steps]))
-            change = move.change(errors[k])
-            rough.append(self._simulator.by_coordinates(k, rows, move.steps, change))
-            more = finer[k] - errors[k][: len(fine[k])]
-            change = change + 4.0 / 3.0 * (more[1:] - more[0])
-            exact.append(self._simulator.by_coordinates(k, rows, move.steps, change))
+            self._simulator.check_motion(good[k], rows, np.concatenate([move.steps, -move.steps]))
+            for each, change in ((rough, changes[k]), (exact, changes[k] + more[k])):
+                each.append(self._simulator.by_coordinates(k, rows, move.steps, change))
         if alike:
             for each in (rough, exact):
                 self._fill_alike(each)
-        near = self._jacobians(at, coarse=True)
-        hidden = self._hidden_vibrations(at, [each[:, :, 0].size for each in rough])
+        near, hidden = exact, [np.zeros((each[:, :, 0].size, 0)) for each in rough]
+        if not rough_axes:
+            near = self._jacobians(at, coarse=True)
+            hidden = self._hidden_vibrations(at, hidden)
         return Wide(
-            at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden,
-            rough_axes=self._wide is None,
-        )  # fmt: skip
+            at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden, rough_axes=rough_axes
+        )
 
-    def _hidden_vibrations(self, at: Array, sizes: Sequence[int]) -> list[Array]:
+    def _hidden_vibrations(self, at: Array, none: Sequence[Array]) -> list[Array]:
         """Return what vibrations that noise hides may change, as `hidden_vibrations`.
 
         Args:
             at: All coordinates.
-            sizes: How many errors each run has; none of one whose start has them as unknowns.
+            none: Of each run, shape (6 K, 0): of one whose start has them as unknowns.
         """
-        hidden = [np.zeros((size, 0)) for size in sizes]
+        hidden = list(none)
         which = [k for k, run in enumerate(self._runs) if not len(run.sway.stretch_sigma)]
         drifts = hidden_vibrations(
             self._simulator,
@@ -782,7 +791,7 @@ class Fitter:
             step = self._step(at, hessian, gradient, damping)
             if self._sways:
                 ways = [self._promise(each * step, hessian, gradient) for each in SWAY_STRETCHES]
-                if tried and max(ways) <= least:
+                if tried and (max(ways) <= least or self._by_rough_axes()):
                     break
                 points, trials, good = self._follow(at, step, hessian, gradient, noise)
             else:
@@ -802,13 +811,13 @@ class Fitter:
                     found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
                 )
             damping *= 5.0
-        if self._sways:
+        if self._exact:
             self._errors_at(at)  # trials are near there again
         return Step(at=at, errors=errors, cost=lowest)
 
     def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
-        """Return a step with errors of vanishing time steps, where only the sway counts."""
-        if not self._sways:
+        """Return a step with errors of vanishing time steps, where recordings are many."""
+        if not self._exact:
             return step
         errors = self._errors_at(step.at)
         return replace(step, errors=errors, cost=self._cost(step.at, errors, noise))
@@ -897,28 +906,21 @@ class Fitter:
         return at
 
     def _found_again(
-        self, at: Array, errors: list[Array], noise: PoseErrorNoise, *, near: bool = False
+        self, at: Array, errors: list[Array], noise: PoseErrorNoise
     ) -> tuple[Array, list[Array]]:
         """Start runs anew, from their first guesses, that beside the others are far off.
 
         Args:
-            at: All coordinates.
+            at: All coordinates, near to the robot.
             errors: Of each run there (K, 6).
             noise: Of these.
-            near: True where the search has led near to the robot, with all poses.
         """
         costs = [noise.cost(each) / each.size for each in errors]
-        most = (LOST_NEAR_RATIO if near else LOST_COST_RATIO) * np.median(costs)
-        lost = [k for k, cost in enumerate(costs) if cost > most]
+        lost = [k for k, cost in enumerate(costs) if cost > LOST_COST_RATIO * np.median(costs)]
         if not lost:
             return at, errors
         new = at.copy()
-        if near:
-            starts = self._sought(at, lost)
-        else:
-            fitter = self._beside(at, [self._runs[k] for k in lost])
-            starts = fitter._starts(fitter._suited(fitter._first))
-        for k, start in zip(lost, starts, strict=True):
+        for k, start in zip(lost, self._sought(at, lost), strict=True):
             new[self._own[k][self._count :]] = start
         found = self._errors_at(new)
         point = at.copy()

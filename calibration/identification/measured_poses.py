@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,12 @@ class MeasuredPoses:
                 kept.append(row)
                 last = float(time)
         return self.rows(np.array(kept, dtype=np.int64))
+
+    def turned(self, turn: Array) -> MeasuredPoses:
+        """Return the poses in another W, to which a rotation (3, 3) turns."""
+        return replace(
+            self, position=self.position @ turn.T, rotation=np.asarray(turn @ self.rotation)
+        )
 
     def errors(self, position: Array, rotation: Array) -> Array:
         """Return model minus measured: position [m], rotation vector of R_measured^T R [rad].

@@ -39,7 +39,6 @@ from calibration.identification.runs import (
     leading_time,
     slow_window,
     time_before,
-    windows_by,
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
@@ -51,7 +50,6 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
-from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
@@ -246,18 +244,55 @@ class _Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Averaged:
+    """How the errors of recordings are averaged.
+
+    Attributes:
+        robot: Nearly the one that moved. A robot file may have cables three times too stiff: by its
+            vibrations windows would be too short, and let those of the robot through.
+        windows: Over which errors of each recording are averaged [s].
+    """
+
+    robot: Robot
+    windows: list[float]
+
+    @classmethod
+    def of(
+        cls,
+        parts: Sequence[_Part],
+        robot: Robot,
+        times: Sequence[Array],
+        paths: Sequence[LengthPath],
+    ) -> _Averaged | None:
+        """Find windows; None where sway and vibrations are not apart in what is fitted.
+
+        Args:
+            parts: Recordings.
+            robot: Nearly the one that moved.
+            times: Of the poses of each [s], shape (K,).
+            paths: Readings of each.
+        """
+        windows = [
+            slow_window(robot, first_equilibrium(robot, path), time)
+            for path, time in zip(paths, times, strict=True)
+        ]
+        trained = [part.train is not None for part in parts]
+        return cls(robot=robot, windows=windows) if all(np.array(windows)[trained]) else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Fit:
     """An identification.
 
     Attributes:
         result: What it found.
         poses: Of each part, checked.
-        windows: Over which errors of each part were averaged [s]; 0: they were not.
+        averaged: How errors were averaged; None: they were not.
     """
 
     result: Identification
     poses: list[MeasuredPoses]
-    windows: list[float]
+    averaged: _Averaged | None
 
 
 def _identify(
@@ -282,31 +317,28 @@ def _identify(
     else:
         poses = other.poses  # what was told of the robot before must not refuse them now
     paths = [LengthPath(part.recording) for part in parts]
-    rests = [first_equilibrium(robot, path) for path in paths]
     times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
-    windows = _windows(parts, robot, times, rests)
 
-    prepare = partial(_prepare, parts, robot, poses, chosen, paths, rests)
-    runs = prepare(windows)
+    prepare = partial(_prepare, parts, robot, poses, chosen, paths)
+    runs = prepare(robot, [0.0] * len(parts))
     before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
-    judge = None if other is None else other.result.folds.judge
-    if any(windows):
+    nearly = averaged = None
+    if len(trained) >= RUNS_APART_MIN and robot.n < 6:
         some = _spread(trained, APPROACH_RUNS_MAX)
         nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
-        windows = windows_by(unknowns.robot_at(nearly), windows, paths, times)
+        averaged = _Averaged.of(parts, unknowns.robot_at(nearly), times, paths)
         if other is not None:
-            windows = other.windows
-        runs = prepare(windows)
+            averaged = other.averaged
+    if averaged is not None:
+        runs = prepare(averaged.robot, averaged.windows)
         before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
-        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
-        fit = fitter.finish(nearly, report)
-    else:
-        fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
-        fit = fitter.run(report)
+    judge = None if other is None else other.result.folds.judge
+    fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
+    fit = fitter.run(report, nearly)
     kept = [run.fitted for run in runs if run.part.train is None]
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.spread)
@@ -365,7 +397,7 @@ def _identify(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out
         ),
     )
-    return _Fit(result=result, poses=poses, windows=windows)
+    return _Fit(result=result, poses=poses, averaged=averaged)
 
 
 def _starts(
@@ -417,21 +449,6 @@ def _spread(each: Sequence[Any], most: int) -> list[Any]:
     return [each[int(k)] for k in np.unique(picked.round())]
 
 
-def _windows(
-    parts: Sequence[_Part], robot: Robot, times: Sequence[Array], rests: Sequence[Equilibrium]
-) -> list[float]:
-    """Return over which times errors are averaged [s]; 0: not, as where there are few recordings.
-
-    In a few recordings what lasts counts by its correlation, and a vibration tells the stiffness.
-    """
-    none = [0.0] * len(parts)
-    trained = [part.train is not None for part in parts]
-    if sum(trained) < RUNS_APART_MIN:
-        return none
-    windows = [slow_window(robot, rest, time) for time, rest in zip(times, rests, strict=True)]
-    return windows if all(np.array(windows)[trained]) else none
-
-
 def _fitted_span(part: _Part) -> Range:
     """Return the samples that are fitted, or scored if none are."""
     span = part.train or part.test
@@ -445,65 +462,48 @@ def _prepare(
     poses: Sequence[MeasuredPoses],
     settings: IdentificationSettings,
     paths: Sequence[LengthPath],
-    rests: Sequence[Equilibrium],
+    nearly: Robot,
     windows: Sequence[float],
 ) -> list[_Run]:
-    """Find how recordings begin, and what of them a fit sees, averaged over windows [s]."""
-    early = max(
-        (
-            time_before(robot, rest)
-            for part, rest, window in zip(parts, rests, windows, strict=True)
-            if window and part.train is not None
-        ),
-        default=0.0,
-    )  # the same for all: recordings that are sampled alike are simulated together
+    """Find how recordings begin, and what of them a fit sees, averaged over windows [s].
+
+    Poses are in W of a `robot`; `nearly` is the one that moved, as far as it is known.
+    """
+    rests = [first_equilibrium(nearly, path) for path in paths]
     averaged = [
-        window
-        for part, window in zip(parts, windows, strict=True)
+        (time_before(nearly, rest), window)
+        for part, rest, window in zip(parts, rests, windows, strict=True)
         if window and part.train is not None
     ]
-    rate = averaged_rate(averaged) if averaged else np.inf
-    return [
-        _prepared(part, robot, each, settings, path, rest, window, early, rate)
-        for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True)
-    ]
+    # the same for all: recordings that are sampled alike are simulated together
+    early = max((before for before, _ in averaged), default=0.0)
+    rate = averaged_rate([window for _, window in averaged]) if averaged else np.inf
+    turn = turn_between(robot, nearly)
+    runs = []
+    for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True):
+        known, before = each, 0.0
+        if window:
+            calm = without_ringing(each, window, fastest_sway(nearly, rest))
+            if is_locked(path, max(calm.time[0], path.first + early)):
+                known, before = calm, early
+        first = _first_speed(nearly, part.recording, known)
+        sway = find_sway(nearly, rest, known.turned(turn), moves=first.moves, before=before)
+        fitted = FittedRun(
+            path=path, poses=known.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
+            window=window, leading=leading_time(before, known) if before else 0.0,
+            averaged_rate=rate,
+        )  # fmt: skip
+        left_out = float(known.time[0] - each.time[0])
+        runs.append(_Run(part=part, poses=known, left_out=left_out, first=first, fitted=fitted))
+    return runs
 
 
-def _prepared(
-    part: _Part,
-    robot: Robot,
-    poses: MeasuredPoses,
-    settings: IdentificationSettings,
-    path: LengthPath,
-    rest: Equilibrium,
-    window: float,
-    early: float,
-    rate: float,
-) -> _Run:
-    """Find how a recording begins, and what of it a fit sees, averaged over a window [s].
-
-    If winches are locked until vibrations have died out, it begins `early` seconds before that.
-    Poses, of which no more than `rate` [Hz] are averaged, lead the search from then on, and a while
-    later they count.
-    """
-    before = left_out = leading = 0.0
-    if window:
-        calm = without_ringing(poses, window, fastest_sway(robot, rest))
-        if is_locked(path, max(calm.time[0], path.first + early)):
-            left_out = float(calm.time[0] - poses.time[0])
-            poses, before = calm, early
-            leading = leading_time(early, calm)
-    recording = part.recording
-    first = first_speed(
+def _first_speed(robot: Robot, recording: Recording, poses: MeasuredPoses) -> FirstSpeed:
+    """Judge whether a platform moves at the first of some poses."""
+    return first_speed(
         robot, recording.time, recording.unstrained_length, poses.time, poses.position,
         poses.rotation,
     )  # fmt: skip
-    sway = find_sway(robot, rest, poses, moves=first.moves, before=before)
-    fitted = FittedRun(
-        path=path, poses=poses.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
-        window=window, leading=leading, averaged_rate=rate,
-    )  # fmt: skip
-    return _Run(part=part, poses=poses, left_out=left_out, first=first, fitted=fitted)
 
 
 def _check(part: _Part, robot: Robot, unknowns: Coordinates) -> MeasuredPoses:

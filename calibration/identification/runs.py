@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calibration.identification.measured_poses import MeasuredPoses
-from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.sway import FreeSway
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.modes import natural_frequencies
@@ -25,7 +24,11 @@ from carosac_toolkit.robot.robot import Robot
 # still tell a stiffness by their phase.
 WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 WINDOW_PERIODS = 4.0  # of the slowest vibration, from where it leaves so little
-SLOW_PERIODS_MAX = 2.0  # of the fastest sway in a window, which leaves nearly half of it
+AVERAGES_PER_WINDOW = 5  # that many begin within one: they show sways of up to 2.5 periods in it
+# Of the fastest sway in a window: vibrations of less than twice its frequency shake it, and have to
+# be followed.
+SLOW_PERIODS_MAX = 2.0
+NOISE_ALONE_SHARE = 1e-3  # of the variance of an average, that it has in common with no other
 WINDOW_POSES_MIN = 8  # poses in a window
 WINDOW_POSES_MAX = 50  # in the shortest of all windows
 # Degree of polynomials that follow a sway within a window to a thousandth, and no vibration: of a
@@ -37,7 +40,7 @@ CHANCE = 1e-5  # that noise alone scatters so much in a window
 CALM_WINDOWS = 4  # in a row, as many a window: vibrations have died out
 RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
 PERIODS_BEFORE = 0.5  # of the slowest sway
-LEADING_RATIO = 2.0  # of that time: a whole sway, whose poses lead the search and do not count
+LEADING_RATIO = 1.0  # of that time, whose poses lead the search and do not count
 LEADING_SHARE_MAX = 0.3  # of the poses
 LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
 LOCKED_TIMES = 11  # at which that is looked at
@@ -87,17 +90,24 @@ class FittedRun:
         return replace(self, poses=poses.thinned(rate), leading=self.leading - leading)
 
     def seen(self, errors: Array) -> Array:
-        """Return errors (K, 6) of all poses as a fit sees them, shape (K', 6)."""
-        return np.asarray(self._averages @ errors) if self.window else errors
+        """Return errors (K, 6) of all poses as a fit sees them, shape (K', 6).
+
+        Averages over windows that overlap have noise in common. They are taken together so that
+        noise of each is its own, as large as that of an average.
+        """
+        if not self.window:
+            return errors
+        averages, apart = self._averages
+        return np.asarray(apart @ (averages @ errors))
 
     @cached_property
-    def _averages(self) -> csr_array:
-        """Weights with which errors are averaged, shape (K', K): half of a window apart.
+    def _averages(self) -> tuple[csr_array, Array]:
+        """Weights with which errors are averaged (K', K), and what takes these apart (K', K').
 
         Where poses are missing in more than half of a window, there is none.
         """
         time, half = self.poses.time, 0.5 * self.window
-        step = max(half, 1.0 / self.rate)
+        step = max(self.window / AVERAGES_PER_WINDOW, 1.0 / self.rate)
         count = int(max(0.0, time[-1] - time[0] - self.window) / step) + 1
         center = time[0] + half + step * np.arange(count)
         first, stop = (np.searchsorted(time, center + side) for side in (-half, half))
@@ -110,7 +120,11 @@ class FittedRun:
         kept = total >= min(COVERED_SHARE_MIN * whole, float(total.max()))
         shape = (count, len(time))
         averages = csr_array((weight / np.maximum(total, 1e-9)[row], (row, column)), shape=shape)
-        return averages[kept]
+        averages = averages[kept]
+        common = (averages @ averages.T).toarray()
+        common /= np.mean(np.diag(common))
+        common += NOISE_ALONE_SHARE * np.eye(len(common))
+        return averages, np.asarray(np.linalg.inv(np.linalg.cholesky(common)))
 
 
 def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
@@ -133,29 +147,6 @@ def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
     if window * slow > SLOW_PERIODS_MAX or window < WINDOW_POSES_MIN * step:
         return 0.0
     return float(window)
-
-
-def windows_by(
-    robot: Robot, windows: Sequence[float], paths: Sequence[LengthPath], times: Sequence[Array]
-) -> list[float]:
-    """Return windows [s] of recordings that have one, by the vibrations of another robot.
-
-    A robot file may have cables three times too stiff. Windows by its vibrations are too short, and
-    let those of the robot through; they are long enough to find out that it is softer.
-
-    Args:
-        robot: Nearly the one that moved.
-        windows: By the robot file [s]; 0: none. They stay where sway and vibrations of `robot` are
-            not apart in one of them.
-        paths: Readings of each recording.
-        times: Of the poses of each [s], shape (K,).
-    """
-    found = [
-        slow_window(robot, first_equilibrium(robot, path), time) if window else 0.0
-        for window, path, time in zip(windows, paths, times, strict=True)
-    ]
-    lost = any(old and not new for old, new in zip(windows, found, strict=True))
-    return list(windows) if lost else found
 
 
 def averaged_rate(windows: Sequence[float]) -> float:

@@ -49,7 +49,7 @@ class Wide:
     exact: list[Array]
     near: list[Array]
     hidden: list[Array]
-    rough_axes: bool
+    rough_axes: bool = False
     dropped: bool = False
 
     @property
@@ -58,7 +58,7 @@ class Wide:
         return [0.5 * (exact + near) for exact, near in zip(self.exact, self.near, strict=True)]
 
     def is_stale(self, at: Array, hessian: Array, robot: int) -> bool:
-        """Say whether they were dropped, or left by more than a sigma of each coordinate of a robot.
+        """Say whether they were dropped, or a search has left them by a sigma of each coordinate.
 
         Args:
             at: All coordinates now.

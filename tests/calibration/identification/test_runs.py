@@ -33,7 +33,6 @@ from calibration.identification.runs import (
     leading_time,
     slow_window,
     time_before,
-    windows_by,
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
@@ -81,21 +80,47 @@ def prepared(robot, recording):
     )
 
 
+def lasting(run, duration=10.0):
+    """A run whose poses last for longer; only their times are right."""
+    rows = np.arange(round(duration * RATE))
+    poses = run.poses.rows(np.zeros(len(rows), dtype=int))
+    return replace(run, poses=replace(poses, time=rows / RATE), rate=RATE)
+
+
 def at_home(robot):
     return statics.inverse_kinematics(robot, robot.home_position[None])
 
 
-def test_averages_keep_what_lasts_and_leave_nothing_of_vibrations(plant, runs):
-    run = runs[0]
+def told_of(run, wave):
+    """Squares of a wave (K,) over the variance of noise, of what a fit sees and of poses."""
+    noise = np.random.default_rng(0).standard_normal((len(wave), 3000))
+    seen = run.seen(np.tile(wave[:, None], (1, 6)))[:, 0]
+    return float((seen**2).sum() / run.seen(noise).var()), float((wave**2).sum())
+
+
+def test_averages_tell_of_a_sway_what_poses_do(runs):
+    run = lasting(runs[0])
     time = run.poses.time - run.poses.time[0]
-    lasting = np.ones((len(time), 6))
-    assert run.seen(lasting) == pytest.approx(np.ones_like(run.seen(lasting)))
+    for periods in (0.0, 0.5, 1.0, 1.5, 2.0):  # in a window
+        seen, whole = told_of(run, np.cos(2.0 * np.pi * periods * time / run.window + 0.5))
+        assert 0.85 < seen / whole < 1.02, periods  # half a window is lost at both ends
+
+
+def test_averages_have_noise_of_their_own(runs):
+    run = lasting(runs[0])
+    noise = np.random.default_rng(1).standard_normal((len(run.poses.time), 4000))
+    seen = run.seen(noise)
+    covariance = seen @ seen.T / seen.shape[1] / seen.var()
+    assert np.abs(covariance - np.eye(len(seen))).max() < 0.1  # chance alone leaves 0.06
+
+
+def test_averages_leave_nothing_of_vibrations(plant, runs):
+    run = lasting(runs[0])
+    time = run.poses.time - run.poses.time[0]
     frequency = natural_frequencies(plant, first_equilibrium(plant, run.path))[0]
-    for value, most in ((frequency[3], 1e-4), (frequency[5], 1e-4)):
-        wave = np.sin(2.0 * np.pi * value * time)[:, None] * lasting
-        assert np.abs(run.seen(wave)).max() < most
-    wave = np.sin(2.0 * np.pi * frequency[2] * time)[:, None] * lasting
-    assert np.abs(run.seen(wave)).max() > 0.5
+    for value in frequency[3:]:
+        seen, whole = told_of(run, np.sin(2.0 * np.pi * value * time))
+        assert seen < 1e-6 * whole
 
 
 def test_where_sway_and_vibrations_are_not_apart_nothing_is_averaged(plant):
@@ -153,9 +178,14 @@ def near(plant, runs):
 def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near, monkeypatch):
     monkeypatch.setattr(spread, "MOVE_SIGMAS", 0.1)  # so near all is linear
     monkeypatch.setattr(spread, "MOVE_MAX", 0.02)
-    fitter, at, errors, noise, _, information = near
+    fitter, at, errors, noise, wide, information = near
     hessian = information + fitter._precision
+    monkeypatch.setattr(fitter, "_wide", None)
+    first = fitter._taken_wide(at, hessian)
+    assert first.is_stale(at, hessian, fitter._count) is False and first.rough_axes
+    monkeypatch.setattr(fitter, "_wide", wide)
     taken = fitter._taken_wide(at, hessian)
+    assert not taken.rough_axes and taken.hidden[0].shape[1]
     again, _ = fitter._normal(errors, taken.exact, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     own = np.arange(len(at)) != fitter._mass
@@ -316,9 +346,8 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
 
     share = next(share for share in 1e-3 * 1.1 ** np.arange(100) if off(share)[2] > 3.0)
     lost, errors, ratio = off(share)
-    assert ratio < fit.LOST_COST_RATIO
-    assert (fitter._found_again(lost, errors, noise)[0] == lost).all()
-    _, found = fitter._found_again(lost, errors, noise, near=True)
+    assert ratio < 5.0
+    _, found = fitter._found_again(lost, errors, noise)
     assert noise.cost(found[4]) < 0.5 * noise.cost(errors[4])
 
 
@@ -341,11 +370,11 @@ def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
     at = fitter._first
     errors, slopes = fitter._errors_at(at), fitter._jacobians(at, coarse=True)
     state = search_state.Search(
-        at=at, errors=[errors[0][:1], errors[1]], jacobians=[slopes[0][:1], slopes[1]], count=1,
-        settled=True,
+        at=at, errors=[errors[0][:1], errors[1][:4]], jacobians=[slopes[0][:1], slopes[1][:4]],
+        count=1, settled=True,
     )  # fmt: skip
     folds = fitter._folds(state, Judge(noise=estimate_noise(errors)))
-    assert len(folds.parts) == 1 + min(fit.HELD_OUT_STRETCHES, len(errors[1]))
+    assert len(folds.parts) == 1 + 4
 
 
 def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch):
@@ -365,30 +394,6 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
     assert fitter._kept == [k for k in range(len(runs)) if k != 2]
     jacobians = fitter._jacobians(at, coarse=True)
     assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter._kept)
-
-
-def test_windows_by_the_robot_that_is_found_leave_its_vibrations_out(plant, runs):
-    """Those by cables that seem three times as stiff are too short, and let them through."""
-    soft = replace(plant, axial_stiffness=plant.axial_stiffness / 3.0)
-    run = runs[0]
-    time = np.arange(0.0, 10.0, 1.0 / RATE)
-    slowest = natural_frequencies(soft, first_equilibrium(soft, run.path))[0, 3]
-    wave = np.sin(2.0 * np.pi * slowest * time)[:, None] * np.ones((1, 6))
-
-    def seen(window):
-        poses = MeasuredPoses(
-            time=time,
-            position=np.zeros((len(time), 3)),
-            rotation=np.tile(np.eye(3), (len(time), 1, 1)),
-            index=np.arange(len(time)),
-        )
-        return np.abs(replace(run, poses=poses, window=window).seen(wave)).max()
-
-    assert seen(run.window) > 0.05
-    (window,) = windows_by(soft, [run.window], [run.path], [time])
-    assert seen(window) < 2e-3
-    assert windows_by(soft, [0.0], [run.path], [time]) == [0.0]
-    assert windows_by(soft, [run.window], [run.path], [time[::20]]) == [run.window]  # too few poses
 
 
 def test_windows_without_poses_are_left_out(runs):
@@ -411,7 +416,7 @@ def test_poses_at_first_lead_the_search_and_do_not_count(runs):
     assert counted.poses.time[0] == pytest.approx(time[0] + 0.3, abs=1.0 / RATE)
     assert counted.first(1.0).poses.time[0] == counted.poses.time[0]
     span = time[-1] - time[0]
-    assert leading_time(0.1 * span, run.poses) == pytest.approx(0.2 * span)
+    assert leading_time(0.1 * span, run.poses) == pytest.approx(0.1 * span)
     assert leading_time(span, run.poses) == pytest.approx(0.3 * span)
     rows = np.append(np.arange(len(time) // 4), len(time) - 1)  # a gap takes no poses from the rest
     assert leading_time(span, run.poses.rows(rows)) < 0.1 * span
@@ -431,7 +436,7 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
     rests = [first_equilibrium(plant, path) for path in paths]
     poses = [poses_of(each) for each in recordings]
     windows = [slow_window(plant, rest, each.time) for rest, each in zip(rests, poses, strict=True)]
-    prepare = partial(procedure._prepare, parts, plant, poses, settings, paths, rests)
+    prepare = partial(procedure._prepare, parts, plant, poses, settings, paths, plant)
     locked, moving = (run.fitted for run in prepare(windows))
     assert locked.leading > 0.2 and locked.begin < locked.poses.time[0]
     assert moving.leading == 0.0 and moving.begin == moving.path.first
@@ -440,7 +445,7 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
     assert rates == [averaged_rate([0.48, 0.52])] * 2
     kept_back = replace(parts[1], train=None, test=parts[1].train)
     beside = procedure._prepare(
-        [parts[0], kept_back], plant, poses, settings, paths, rests, [0.48, 0.2]
+        [parts[0], kept_back], plant, poses, settings, paths, plant, [0.48, 0.2]
     )
     assert beside[0].fitted.averaged_rate == averaged_rate([0.48])  # what is fitted stays as it is
 
