@@ -29,6 +29,7 @@ from calibration.identification.frequencies import load_frequencies
 from calibration.identification.procedure import identify, identify_runs
 from calibration.identification.report import report_content
 from calibration.identification.result import Identification
+from calibration.identification.settings import CANDIDATE_SIGMAS, IdentificationSettings
 from calibration.report import (
     option_words,
     print_parameters,
@@ -56,6 +57,7 @@ COMMAND_OPTIONS = (
     "test",
     "frequencies",
     "candidates",
+    "free",
     "report",
     "json",
     "seed",
@@ -85,10 +87,13 @@ class Options(CommonOptions):
     frequencies: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """CSV table of natural frequencies that were measured at rest, fitted beside the recordings:
     columns unstrained_length_01_m ..., frequency_Hz, sigma_Hz, and mode or shape_x_m ..."""
-    candidates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Parameters that are kept only where cross-validation wants them, such as inertia_products,
-    angular_drag_axes, cable_drag and capstan_friction, and else stay as in the robot file; takes
-    twice as long."""
+    candidates: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[NAME ...]")] = None
+    """Parameters that are kept only where cross-validation wants them, and else stay as in the
+    robot file; without names inertia_products, angular_drag_axes, cable_drag and capstan_friction.
+    Takes twice as long."""
+    free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """Parameters that are fitted beside the usual ones without such a judgement, as of an effect
+    that the robot surely has: capstan_friction of rough pulleys."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; over another one, but not over --robot."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -112,11 +117,12 @@ def run(options: Options) -> CommandResult:
     if options.frequencies is not None:
         measured = load_frequencies(options.frequencies, robot_source.robot)
     steps = _Steps(robot_source.robot)
+    settings, candidates = _freed(options)
     if len(given) == 1:
         train, test = _ranges(options, recordings[0])
         result = identify(
-            recordings[0], robot_source.robot, train=train, test=test, frequencies=measured,
-            candidates=options.candidates, report=steps,
+            recordings[0], robot_source.robot, settings, train=train, test=test,
+            frequencies=measured, candidates=candidates, report=steps,
         )  # fmt: skip
         ranges = ["--train", f"{train[0]}:{train[1]}"]
         ranges += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
@@ -125,8 +131,8 @@ def run(options: Options) -> CommandResult:
         _refuse_ranges(options)
         count = len(options.recordings)
         result = identify_runs(
-            recordings[:count], robot_source.robot, held_out=recordings[count:], names=names,
-            frequencies=measured, candidates=options.candidates, report=steps,
+            recordings[:count], robot_source.robot, settings, held_out=recordings[count:],
+            names=names, frequencies=measured, candidates=candidates, report=steps,
         )  # fmt: skip
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
@@ -137,7 +143,8 @@ def run(options: Options) -> CommandResult:
     print()
     _print(result, effects)
     ranges += ["--frequencies", options.frequencies] if options.frequencies else []
-    ranges += ["--candidates", *options.candidates] if options.candidates else []
+    ranges += ["--candidates", *candidates] if candidates else []
+    ranges += ["--free", *options.free] if options.free else []
     command = [
         "carosac", "identify", *options.recordings, "--robot", robot_source.name, *ranges,
         *option_words(options, COMMAND_OPTIONS),
@@ -179,6 +186,20 @@ def _check_given(paths: Sequence[Path]) -> None:
         if path.resolve() in seen:
             raise InvalidField("RECORDING", str(path), "each recording once")
         seen.add(path.resolve())
+
+
+def _freed(options: Options) -> tuple[IdentificationSettings, tuple[str, ...]]:
+    """Return settings with all that is to be fitted, and the parameters that are to be tried."""
+    candidates = options.candidates or ()
+    if options.candidates is not None and not candidates:
+        candidates = tuple(CANDIDATE_SIGMAS)
+    both = sorted({*candidates} & {*options.free})
+    if both:
+        raise InvalidField("--free", repr(both[0]), "parameters that are not among --candidates")
+    try:
+        return IdentificationSettings().with_candidates(options.free), candidates
+    except InvalidField as error:
+        raise InvalidField("--free", error.value, error.allowed) from error
 
 
 def _refuse_ranges(options: Options) -> None:

@@ -90,7 +90,7 @@ def _fields_in_words(options: type) -> StructConstructorSpec:
 
 def _default_in_words(text: str) -> str:
     """Name a default, unless it only says that nothing was asked for."""
-    return "" if text in ("", "none", "False") else f"(default: {text})"
+    return "" if text in ("", "none", "None", "False") else f"(default: {text})"
 
 
 def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:

@@ -13,7 +13,7 @@ from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.inspection.report import RobotReport
 from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
-from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 from carosac_toolkit.robot.sizes import SURFACE_CABLES
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def describe(report: RobotReport) -> Iterator[str]:
         f"{_range(robot.acceleration_max)} m/s^2, lag {_range(robot.winch_lag)} s, length "
         f"{_range(np.append(robot.length_min, robot.length_max))} m"
     )
-    for table in (_payload_table, _point_table, _pulley_table, _cable_table):
+    for table in (_payload_table, _point_table, _pulley_table, _cable_table, _friction_table):
         text = table(report)
         if text:
             yield f"\n{text}"
@@ -153,6 +153,24 @@ def _cable_table(report: RobotReport) -> str:
             f"{home.tension[0, i]:.2f}" if home.converged[0] else "-",
             f"{report.sag[i] * 1e3:.2f}" if home.converged[0] else "-",
         )
+        for i, name in enumerate(robot.cable_names)
+    ]
+    return format_table(header, rows)
+
+
+def _friction_table(report: RobotReport) -> str:
+    """One row per cable; empty without dry friction and hysteresis."""
+    robot = report.robot
+    columns = [np.broadcast_to(getattr(robot, name), robot.n) for name in DRY_FIELDS]
+    if not any(column.any() for column in columns):
+        return ""
+    header = (
+        "cable", "exit friction [N m]", "anchor friction [N m]", "capstan friction",
+        "hysteresis [mm]",
+    )  # fmt: skip
+    units = (1.0, 1.0, 1.0, 1e3)
+    rows = [
+        (name, *(f"{unit * column[i]:.3g}" for unit, column in zip(units, columns, strict=True)))
         for i, name in enumerate(robot.cable_names)
     ]
     return format_table(header, rows)

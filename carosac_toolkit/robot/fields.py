@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -31,18 +32,21 @@ class FieldFault(InvalidField, ValueError):
     """A fault of one field that only its neighbours reveal."""
 
 
-def quantity_reader(unit: str, bound: str = "") -> tuple[Reader, str]:
+def quantity_reader(unit: str, bound: str = "", most: float = math.inf) -> tuple[Reader, str]:
     """Make the reader of a number and the text of its allowed values.
 
     Args:
         unit: SI unit of the number.
         bound: ``> 0``, ``>= 0`` or nothing.
+        most: Largest one.
     """
     allowed = describe(unit) + (f", {bound}" if bound else "")
+    allowed += f", <= {most:g}" if math.isfinite(most) else ""
 
     def read(value: object) -> float:
         number = parse_quantity(value, unit)
-        if (bound == "> 0" and not number > 0.0) or (bound == ">= 0" and not number >= 0.0):
+        low = (bound == "> 0" and not number > 0.0) or (bound == ">= 0" and not number >= 0.0)
+        if low or number > most:
             raise InvalidQuantity(value, allowed)
         return number
 

@@ -5,6 +5,7 @@ A model checks its own fields; `carosac_toolkit.robot.checks` checks them togeth
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from carosac_toolkit.robot.fields import (
     quantity_reader,
     unit_length_reader,
 )
+from carosac_toolkit.robot.robot import CAPSTAN_FRICTION_MAX
 
 ROBOT_SCHEMA = "carosac-robot/1"
 
@@ -42,8 +44,8 @@ class Reads:
         return core_schema.no_info_before_validator_function(self.function, handler(source))
 
 
-def _reads(unit: str, bound: str = "") -> Reads:
-    return Reads(*quantity_reader(unit, bound))
+def _reads(unit: str, bound: str = "", most: float = math.inf) -> Reads:
+    return Reads(*quantity_reader(unit, bound, most))
 
 
 def _direction(meaning: str, count: int) -> Reads:
@@ -153,7 +155,7 @@ class CableType(_Section):
     axial_damping: Annotated[float, _reads("N*s", ">= 0")]
     exit_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
     anchor_friction: Annotated[float, _reads("N*m", ">= 0")] = 0.0
-    capstan_friction: Factor = 0.0
+    capstan_friction: Annotated[float, _reads("1", ">= 0", CAPSTAN_FRICTION_MAX)] = 0.0
     diameter: Extent
 
     @model_validator(mode="after")

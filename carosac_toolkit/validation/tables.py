@@ -25,7 +25,7 @@ EFFECT_MEANINGS = {
     "delay": "poses late against the lengths",
     "sway phase": "frequency or start of the sway: inertia, height of the centre of mass",
     "damping law": "drag or dry friction",
-    "hysteresis": "paid-out lengths lag behind the encoders",
+    "hysteresis": "paid-out lengths lag behind the encoders; or capstan friction on pulleys",
     "tilt": "of the frame of the poses, or of gravity in it",
     "centre of mass": "its horizontal place on the platform",
     "length offset or scale": "of each cable",

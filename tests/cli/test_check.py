@@ -89,6 +89,23 @@ def test_points_pulleys_and_payloads_are_shown(tmp_path, capsys):
     assert data["problems"] == [] and data["warnings"] == []
 
 
+def test_dry_friction_is_shown_where_there_is_any(tmp_path, capsys):
+    assert main(["check", "carosac"]) == 0
+    assert "capstan friction" not in capsys.readouterr().out
+    text = robot_text("carosac")
+    robot = parse_robot(text)
+    rough = replace(
+        robot, capstan_friction=np.full(4, 0.15), length_hysteresis=np.array([0.0, 2e-3, 0.0, 0.0])
+    )
+    (tmp_path / "rough.yaml").write_text(robot_document(text, rough, provenance="a guess"))
+    assert main(["check", str(tmp_path / "rough.yaml")]) == 0
+    out = capsys.readouterr().out
+    assert "hysteresis [mm]" in out
+    for name, hysteresis in zip(robot.cable_names, "0200", strict=True):
+        row = next(line for line in out.splitlines() if line.startswith(name) and "0.15" in line)
+        assert row.split()[1:] == ["0", "0", "0.15", hysteresis]
+
+
 def test_a_home_out_of_reach_of_the_winches_is_a_negative_answer(tmp_path, capsys):
     path = tmp_path / "short.yaml"
     path.write_text(with_pulleys("30 cm").replace("length_max: 20 m", "length_max: 9.5 m"))

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 import carosac_toolkit as ct
+from calibration.commands import identify
 from calibration.identification.result import MeanPoseComparison
+from calibration.identification.settings import CANDIDATE_SIGMAS, IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures.saving import PICTURE_FORMATS
@@ -73,6 +75,8 @@ def test_a_robot_of_no_use_is_not_written(run_file, capsys, monkeypatch):
         (("--output", "x.txt"), "a file name ending in .yaml or .yml"),
         (("--robot", "cogiro"), "8 cables"),
         (("--frequencies", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("--free", "colour"), "--free: got 'colour'; allowed: any of exit_points"),
+        (("--free", "drag", "--candidates", "mass", "drag"), "not among --candidates"),
     ],
 )
 def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, message):
@@ -80,6 +84,20 @@ def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, me
     error = capsys.readouterr().err
     assert message in error and error.count("\n") <= 2
     assert list(Path().iterdir()) == []
+
+
+def test_candidates_without_names_are_all_that_are_fitted_only_on_request():
+    settings, tried = identify._freed(identify.Options(recordings=("x",), candidates=()))
+    assert set(tried) == set(CANDIDATE_SIGMAS) and settings == IdentificationSettings()
+    assert identify._freed(identify.Options(recordings=("x",)))[1] == ()
+
+
+def test_what_is_freed_is_fitted_by_its_usual_sigma():
+    settings, tried = identify._freed(
+        identify.Options(recordings=("x",), free=("capstan_friction", "drag"))
+    )
+    assert settings.capstan_friction == CANDIDATE_SIGMAS["capstan_friction"] and tried == ()
+    assert settings.drag == IdentificationSettings().drag
 
 
 def test_the_robot_file_is_never_overwritten(run_file, capsys):

@@ -170,6 +170,8 @@ def test_misspelt_sections_are_one_fault_each_whatever_follows_from_them():
         ("chains:\n", "chains: []\nmore:\n", "chains: got an empty list; allowed: at least two"),
         ("description: suspended", "description:\nother: suspended", "description: got nothing"),
         ("mass: 23.655 kg", "mass: 1:30", "platform.mass: got '1:30'"),
+        ("axial_damping: 300 N*s", "axial_damping: 300 N*s\n    capstan_friction: 2.1",
+         "cable_types.rope.capstan_friction: got 2.1; allowed: a pure number, >= 0, <= 2"),
     ],
 )  # fmt: skip
 def test_each_fault_says_what_is_allowed(old, new, message):
