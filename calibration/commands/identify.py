@@ -121,7 +121,7 @@ def run(options: Options) -> CommandResult:
     if len(given) == 1:
         train, test = _ranges(options, recordings[0])
         result = identify(
-            recordings[0], robot_source.robot, settings, train=train, test=test,
+            recordings[0], robot_source.robot, settings, train=train, test=test, name=names[0],
             frequencies=measured, candidates=candidates, report=steps,
         )  # fmt: skip
         ranges = ["--train", f"{train[0]}:{train[1]}"]

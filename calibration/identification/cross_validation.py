@@ -26,6 +26,8 @@ from calibration.identification.doubts import Judge
 from calibration.identification.quadratic import Quadratic
 from carosac_toolkit.base.arrays import Array
 
+UNDECIDED_GAIN_MIN = 0.1  # of squared errors: a parameter that brings it may be of the robot
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
@@ -49,6 +51,8 @@ class Candidate:
     def words(self) -> str:
         """What it says, for people."""
         verdict = "kept" if self.kept else "left as in the robot file"
+        if not self.kept and self.gain >= UNDECIDED_GAIN_MIN:
+            verdict = "undecided, as few parts tell most, and left as in the robot file (--free)"
         if self.together:
             verdict = "kept, as a fit without those to be left predicts worse than with all"
         way = "smaller" if self.gain >= 0.0 else "larger"

@@ -71,6 +71,7 @@ POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
+NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
 START_DISTANCE_MAX = Scaled(0.5, "m")
 # A platform that moves by less does not show its dynamics; sensors do not shrink with it.
@@ -84,6 +85,7 @@ def identify(
     *,
     train: Range,
     test: Range | None = None,
+    name: str = "recording",
     frequencies: FrequencyTable | None = None,
     candidates: Sequence[str] = (),
     report: ProgressCallback = lambda poses, position, rotation: None,
@@ -101,6 +103,7 @@ def identify(
         settings: None takes the defaults.
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.
+        name: Of the recording, for messages.
         frequencies: Measured natural frequencies that are fitted too; None: none.
         candidates: Settings whose parameters are kept only where they predict what is held out (see
             `calibration.identification.cross_validation`), and else stay as in the robot file.
@@ -113,7 +116,7 @@ def identify(
         Unobservable: The recording does not show the dynamics.
         CarosacError: The robot cannot be simulated on these lengths.
     """
-    part = _Part(name="recording", recording=recording, train=train, test=test)
+    part = _Part(name=name, recording=recording, train=train, test=test)
     return _chosen([part], robot, settings, report, frequencies, candidates)
 
 
@@ -361,6 +364,7 @@ def _identify(
         warnings=(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
+            *_overconfident(judged, scored),
             *_turned_body(told_runs, told_after),
             *_moved_point(robot, told_runs, told_after),
             *(() if compared is None else compared.warnings()),
@@ -589,8 +593,8 @@ def _check_order(
         doubt=lambda rows: rest_doubt(part.recording, unknowns, poses.index[rows]),
     )  # fmt: skip
     if mix_ups:
-        allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
-        raise InvalidField(part.name, " ".join(mix_ups), allowed)
+        found = "'carosac calibrate lengths' finds offsets, swapped cables and wrong units."
+        raise CarosacError(f"{part.name}: {' '.join(mix_ups)} {found}")
 
 
 def _check_start(name: str, robot: Robot, errors: Array) -> None:
@@ -699,6 +703,16 @@ def _left_out(names: Sequence[str]) -> Iterator[str]:
             f"{', '.join(names)}: left out of the fit, as cables vibrate so "
             "strongly that the simulated motion depends on its time step; kick the platform more "
             "gently, or add damping to the robot file if it has too little"
+        )
+
+
+def _overconfident(judged: JudgedError | None, test: ScoredRange | None) -> Iterator[str]:
+    """Warn of a robot file whose claims do not hold on what was kept back."""
+    if judged is not None and test is not None and judged.nees > NEES_MAX:
+        yield (
+            "estimators would claim too much by the identified robot: what was kept back is missed "
+            f"by {np.sqrt(judged.nees):.1f} times what the fitted samples say. It shows an effect "
+            "that they do not, or that no fitted parameter has; see --candidates and --free"
         )
 
 

@@ -9,14 +9,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
+from calibration.identification import procedure
+from calibration.identification.model_error import JudgedError
 from calibration.identification.procedure import identify
+from calibration.identification.result import ScoredRange
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.observability import Unobservable
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.robot.model_error import MODEL_ERROR_UNITS, ModelError
 from carosac_toolkit.robot.parameters import values_of
+from carosac_toolkit.validation.scores import score_poses
 
 FEW = IdentificationSettings(
     exit_points=0.0, anchor_points=0.0, length_scale=0.0, mass=0.0, linear_density=0.0,
@@ -160,13 +165,13 @@ def test_a_robot_at_rest_does_not_show_its_dynamics(robot, run):
 def test_swapped_cables_are_refused_by_name(robot, run):
     order = [1, 0, 2, 3]
     swapped = replace(run.recording, unstrained_length=run.recording.unstrained_length[:, order])
-    with pytest.raises(InvalidField, match=r"swapped|order"):
+    with pytest.raises(CarosacError, match=r"recording: .*(swapped|order)"):
         identify(swapped, robot, FEW, train=(0, 200))
 
 
 def test_lengths_that_hang_the_robot_elsewhere_are_refused(robot, run):
     shifted = replace(run.recording, unstrained_length=run.recording.unstrained_length + 2.0)
-    with pytest.raises(InvalidField, match=r"m from where the lengths hold"):
+    with pytest.raises(CarosacError, match=r"m from where the lengths hold"):
         identify(shifted, robot, FEW, train=(0, 200))
 
 
@@ -201,3 +206,16 @@ def test_a_robot_that_predicts_no_better_than_a_constant_pose_is_named(robot, ru
 def test_another_number_of_cables_is_refused(run):
     with pytest.raises(InvalidField, match="cables"):
         identify(run.recording, ct.load_robot("cogiro"), FEW, train=(0, 200))
+
+
+@pytest.mark.parametrize(("nees", "warned"), [(1.9, 0), (19.0, 1)])
+def test_claims_that_do_not_hold_on_what_was_kept_back_are_warned_of(nees, warned):
+    scores = score_poses(np.ones((10, 3)), np.ones(10))
+    kept = ScoredRange(start=0, stop=10, runs=1, before=scores, after=scores)
+    usual = dict.fromkeys(MODEL_ERROR_UNITS, 1e-3)
+    judged = JudgedError(error=ModelError(**usual), nees=nees)
+    lines = list(procedure._overconfident(judged, kept))
+    assert len(lines) == warned
+    assert not list(procedure._overconfident(judged, None))
+    if warned:
+        assert "missed by 4.4 times what the fitted samples say" in lines[0]

@@ -18,7 +18,7 @@ from calibration.identification.synthetic_oscillations import (
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.encoders import calibrated
@@ -75,7 +75,7 @@ def test_a_centre_of_mass_within_what_is_known_does_not_refuse_a_robot(robot):
     check(robot, run)
     names = ("center_of_mass.x", "center_of_mass.y", "center_of_mass.z")
     surveyed = replace(robot, calibrated=names, calibration_covariance=1e-8 * np.eye(3))
-    with pytest.raises(InvalidField, match=r"Positions are 0\.\d+ m from where the lengths hold"):
+    with pytest.raises(CarosacError, match=r"Positions are 0\.\d+ m from where the lengths hold"):
         check(surveyed, run)
 
 
@@ -86,7 +86,7 @@ def test_another_tracked_point_is_named(robot, recording):
         recording,
         poses=PoseSamples(time=poses.time, position=moved, quaternion=poses.quaternion),
     )
-    with pytest.raises(InvalidField, match="Is the tracked point the origin of the platform frame"):
+    with pytest.raises(CarosacError, match="Is the tracked point the origin of the platform frame"):
         check(robot, other)
 
 
