@@ -91,9 +91,9 @@ class Options(CommonOptions):
     """Parameters that are kept only where cross-validation wants them, and else stay as in the
     robot file; without names inertia_products, angular_drag_axes, cable_drag and capstan_friction.
     Takes twice as long."""
-    free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Parameters that are fitted beside the usual ones without such a judgement, as of an effect
-    that the robot surely has: capstan_friction of rough pulleys."""
+    free: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Those of these four that are fitted without such a judgement, as the robot surely has them:
+    capstan_friction of rough pulleys."""
     output: OutputFile = None
     """Write the identified robot to this YAML file; over another one, but not over --robot."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -190,16 +190,18 @@ def _check_given(paths: Sequence[Path]) -> None:
 
 def _freed(options: Options) -> tuple[IdentificationSettings, tuple[str, ...]]:
     """Return settings with all that is to be fitted, and the parameters that are to be tried."""
+    free = options.free or ()
+    unknown = [name for name in free if name not in CANDIDATE_SIGMAS]
+    if unknown or options.free == ():
+        allowed = f"one or more of {', '.join(CANDIDATE_SIGMAS)}; others are fitted anyway"
+        raise InvalidField("--free", repr(unknown[0]) if unknown else "nothing", allowed)
     candidates = options.candidates or ()
-    if options.candidates is not None and not candidates:
-        candidates = tuple(CANDIDATE_SIGMAS)
-    both = sorted({*candidates} & {*options.free})
+    if options.candidates == ():
+        candidates = tuple(name for name in CANDIDATE_SIGMAS if name not in free)
+    both = sorted({*candidates} & {*free})
     if both:
-        raise InvalidField("--free", repr(both[0]), "parameters that are not among --candidates")
-    try:
-        return IdentificationSettings().with_candidates(options.free), candidates
-    except InvalidField as error:
-        raise InvalidField("--free", error.value, error.allowed) from error
+        raise InvalidField("--free", repr(both[0]), "what is not among --candidates")
+    return IdentificationSettings().with_candidates(free), candidates
 
 
 def _refuse_ranges(options: Options) -> None:

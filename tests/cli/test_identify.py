@@ -75,8 +75,9 @@ def test_a_robot_of_no_use_is_not_written(run_file, capsys, monkeypatch):
         (("--output", "x.txt"), "a file name ending in .yaml or .yml"),
         (("--robot", "cogiro"), "8 cables"),
         (("--frequencies", "nowhere.csv"), "nowhere.csv: no such file"),
-        (("--free", "colour"), "--free: got 'colour'; allowed: any of exit_points"),
-        (("--free", "drag", "--candidates", "mass", "drag"), "not among --candidates"),
+        (("--free", "drag"), "--free: got 'drag'; allowed: one or more of inertia_products"),
+        (("--free",), "--free: got nothing; allowed: one or more of inertia_products"),
+        (("--free", "cable_drag", "--candidates", "cable_drag"), "not among --candidates"),
     ],
 )
 def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, message):
@@ -93,11 +94,11 @@ def test_candidates_without_names_are_all_that_are_fitted_only_on_request():
 
 
 def test_what_is_freed_is_fitted_by_its_usual_sigma():
-    settings, tried = identify._freed(
-        identify.Options(recordings=("x",), free=("capstan_friction", "drag"))
-    )
+    options = identify.Options(recordings=("x",), free=("capstan_friction",))
+    settings, tried = identify._freed(options)
     assert settings.capstan_friction == CANDIDATE_SIGMAS["capstan_friction"] and tried == ()
-    assert settings.drag == IdentificationSettings().drag
+    _, others = identify._freed(replace(options, candidates=()))
+    assert set(others) == set(CANDIDATE_SIGMAS) - {"capstan_friction"}
 
 
 def test_the_robot_file_is_never_overwritten(run_file, capsys):
