@@ -52,7 +52,7 @@ class Candidate:
         """What it says, for people."""
         verdict = "kept" if self.kept else "left as in the robot file"
         if not self.kept and self.gain >= UNDECIDED_GAIN_MIN:
-            verdict = "undecided, as few parts tell most, and left as in the robot file (--free)"
+            verdict = "undecided, as few parts tell most, and left as in the robot file"
         if self.together:
             verdict = "kept, as a fit without those to be left predicts worse than with all"
         way = "smaller" if self.gain >= 0.0 else "larger"

@@ -341,7 +341,7 @@ class Fitter:
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
-            if self._wide is not None and self._by_rough_axes():
+            if self._wide is not None and self._wide.rough_axes:  # good for one step
                 self._wide, settled = replace(self._wide, dropped=True), False
                 continue
             ended = settled or stuck
@@ -357,8 +357,9 @@ class Fitter:
         settled &= final
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def _by_rough_axes(self) -> bool:
-        """Say whether derivatives over some sigmas are along rough axes: good for one step."""
+    @property
+    def _leads_roughly(self) -> bool:
+        """True where derivatives over some sigmas are along rough axes."""
         return self._wide is not None and self._wide.rough_axes
 
     def _excess(
@@ -457,9 +458,9 @@ class Fitter:
         )
 
     def _errors_at(self, at: Array) -> list[Array]:
-        """Return the errors of each run (K, 6), of vanishing time steps where recordings are many.
+        """Return the errors of each run (K, 6), of vanishing time steps where `_exact`.
 
-        These tell frequencies better than time steps do that are short enough for a motion.
+        Many recordings tell frequencies better than time steps that are short enough for a motion.
         What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
         """
         points = [at[None]] * len(self._runs)
@@ -609,7 +610,6 @@ class Fitter:
         points = [
             each.ends(at, self._lower, rows) for each, rows in zip(moves, varied, strict=True)
         ]
-        ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
         errors, good = self._simulated(points)
         changes = [move.change(each) for move, each in zip(moves, errors, strict=True)]
         rough_axes = self._wide is None
@@ -791,7 +791,7 @@ class Fitter:
             step = self._step(at, hessian, gradient, damping)
             if self._sways:
                 ways = [self._promise(each * step, hessian, gradient) for each in SWAY_STRETCHES]
-                if tried and (max(ways) <= least or self._by_rough_axes()):
+                if tried and (max(ways) <= least or self._leads_roughly):
                     break
                 points, trials, good = self._follow(at, step, hessian, gradient, noise)
             else:
@@ -816,7 +816,7 @@ class Fitter:
         return Step(at=at, errors=errors, cost=lowest)
 
     def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
-        """Return a step with errors of vanishing time steps, where recordings are many."""
+        """Return a step with errors of vanishing time steps, where `_exact`."""
         if not self._exact:
             return step
         errors = self._errors_at(step.at)

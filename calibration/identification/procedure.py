@@ -236,6 +236,7 @@ class _Run:
         poses: All measured ones that lead a search or count, in W.
         left_out: Time at first whose poses do neither [s].
         first: Speed at the first samples.
+        guess: How it begins, for the robot as it was known.
         fitted: What a fit sees.
     """
 
@@ -243,6 +244,7 @@ class _Run:
     poses: MeasuredPoses
     left_out: float
     first: FirstSpeed
+    guess: OpenLoopStart
     fitted: FittedRun
 
 
@@ -254,10 +256,13 @@ class _Averaged:
         robot: Nearly the one that moved. A robot file may have cables three times too stiff: by its
             vibrations windows would be too short, and let those of the robot through.
         windows: Over which errors of each recording are averaged [s].
+        mixed: Names of fitted ones in which sway and vibrations are not told apart; if there are
+            any, nothing is averaged.
     """
 
     robot: Robot
     windows: list[float]
+    mixed: tuple[str, ...]
 
     @classmethod
     def of(
@@ -266,21 +271,27 @@ class _Averaged:
         robot: Robot,
         times: Sequence[Array],
         paths: Sequence[LengthPath],
-    ) -> _Averaged | None:
-        """Find windows; None where sway and vibrations are not apart in what is fitted.
+        rate: float,
+    ) -> _Averaged:
+        """Find windows.
 
         Args:
             parts: Recordings.
             robot: Nearly the one that moved.
             times: Of the poses of each [s], shape (K,).
             paths: Readings of each.
+            rate: Of poses that are fitted, at most [Hz].
         """
         windows = [
-            slow_window(robot, first_equilibrium(robot, path), time)
+            slow_window(robot, first_equilibrium(robot, path), time, rate)
             for path, time in zip(paths, times, strict=True)
         ]
-        trained = [part.train is not None for part in parts]
-        return cls(robot=robot, windows=windows) if all(np.array(windows)[trained]) else None
+        mixed = tuple(
+            part.name
+            for part, window in zip(parts, windows, strict=True)
+            if part.train is not None and not window
+        )
+        return cls(robot=robot, windows=windows, mixed=mixed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -290,7 +301,7 @@ class _Fit:
     Attributes:
         result: What it found.
         poses: Of each part, checked.
-        averaged: How errors were averaged; None: they were not.
+        averaged: How errors were averaged; None: recordings are few, or cables six or more.
     """
 
     result: Identification
@@ -324,7 +335,7 @@ def _identify(
 
     prepare = partial(_prepare, parts, robot, poses, chosen, paths)
     runs = prepare(robot, [0.0] * len(parts))
-    before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
+    before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
@@ -332,12 +343,14 @@ def _identify(
     if len(trained) >= RUNS_APART_MIN and robot.n < 6:
         some = _spread(trained, APPROACH_RUNS_MAX)
         nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
-        averaged = _Averaged.of(parts, unknowns.robot_at(nearly), times, paths)
-        if other is not None:
-            averaged = other.averaged
-    if averaged is not None:
+        averaged = (
+            _Averaged.of(parts, unknowns.robot_at(nearly), times, paths, chosen.rate)
+            if other is None
+            else other.averaged
+        )
+    if averaged is not None and not averaged.mixed:
         runs = prepare(averaged.robot, averaged.windows)
-        before = _motions(robot, robot, runs, chosen, [run.fitted.sway.guess for run in runs])
+        before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
     judge = None if other is None else other.result.folds.judge
     fitter = Fitter(unknowns, trained, chosen, frequencies=frequencies, judge=judge)
@@ -346,7 +359,11 @@ def _identify(
     starts = [*fit.starts, *_starts(unknowns, kept, chosen, fit.coordinates)]
     estimate = unknowns.estimate(fit.coordinates, fit.spread)
     identified = updated(robot, estimate)
-    after = _motions(robot, identified, runs, chosen, starts)
+    found = [
+        OpenLoopStart(sway=run.fitted.sway, coordinates=start[None])
+        for run, start in zip(runs, starts, strict=True)
+    ]
+    after = _motions(robot, identified, runs, chosen, found)
     told = [k for k in range(len(runs)) if k not in fit.left_out]  # the fitted ones are the first
     told_runs = [runs[k] for k in told]
     told_before, told_after = ([each[k] for k in told] for each in (before, after))
@@ -397,6 +414,7 @@ def _identify(
         frequencies=compared,
         folds=fit.folds,
         unfollowed=unfollowed,
+        mixed=() if averaged is None else averaged.mixed,
         fitted_samples=sum(
             len(run.first(1.0).poses.time) for k, run in enumerate(trained) if k not in fit.left_out
         ),
@@ -485,20 +503,25 @@ def _prepare(
     turn = turn_between(robot, nearly)
     runs = []
     for part, each, path, rest, window in zip(parts, poses, paths, rests, windows, strict=True):
-        known, before = each, 0.0
+        seen, before = each, 0.0
         if window:
             calm = without_ringing(each, window, fastest_sway(nearly, rest))
             if is_locked(path, max(calm.time[0], path.first + early)):
-                known, before = calm, early
-        first = _first_speed(nearly, part.recording, known)
-        sway = find_sway(nearly, rest, known.turned(turn), moves=first.moves, before=before)
+                seen, before = calm, early
+        first = _first_speed(nearly, part.recording, seen)
+        sway = partial(find_sway, moves=first.moves, before=before)
         fitted = FittedRun(
-            path=path, poses=known.within(*_fitted_span(part)), rate=settings.rate, sway=sway,
-            window=window, leading=leading_time(before, known) if before else 0.0,
-            averaged_rate=rate,
+            path=path, poses=seen.within(*_fitted_span(part)), rate=settings.rate,
+            sway=sway(nearly, rest, seen.turned(turn)), window=window,
+            leading=leading_time(before, seen) if before else 0.0, averaged_rate=rate,
         )  # fmt: skip
-        left_out = float(known.time[0] - each.time[0])
-        runs.append(_Run(part=part, poses=known, left_out=left_out, first=first, fitted=fitted))
+        known = sway(robot, first_equilibrium(robot, path), seen)
+        runs.append(
+            _Run(
+                part=part, poses=seen, left_out=float(seen.time[0] - each.time[0]), first=first,
+                guess=OpenLoopStart(sway=known, coordinates=known.guess[None]), fitted=fitted,
+            )
+        )  # fmt: skip
     return runs
 
 
@@ -560,16 +583,11 @@ def _motions(
     robot: Robot,
     runs: Sequence[_Run],
     settings: IdentificationSettings,
-    starts: Sequence[Array],
+    starts: Sequence[OpenLoopStart],
 ) -> list[Array]:
     """Return the errors of a robot's simulation at all poses, in W as before, (K, 6) a run."""
     jobs = [
-        OpenLoopRun(
-            robots=[robot],
-            path=run.fitted.path,
-            time=run.poses.time,
-            start=OpenLoopStart(sway=run.fitted.sway, coordinates=start[None]),
-        )
+        OpenLoopRun(robots=[robot], path=run.fitted.path, time=run.poses.time, start=start)
         for run, start in zip(runs, starts, strict=True)
     ]
     errors = []

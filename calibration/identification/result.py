@@ -105,7 +105,8 @@ class FirstMotion:
     Attributes:
         time: When it starts: at the first reading, or half a sway before the first pose that
             counts [s].
-        frequency: Of the free modes there, for the robot before [Hz], shape (m,).
+        frequency: Of the free modes there [Hz], shape (m,): for the robot before, or where errors
+            are averaged for one near to the identified one.
         displacement: From the equilibrium along these modes, of the anchor point that moves most
             [m], shape (m,).
         speed: Of the same [m/s], shape (m,).
@@ -227,6 +228,8 @@ class Identification(CalibrationResult):
         converged: True if it ended by itself.
         excess: Factor by which the data count for less than independent innovations [1].
         unfollowed: Names of recordings that no time step follows; only their start was fitted.
+        mixed: Names of recordings in which sway and vibrations are not told apart, for which the
+            vibrations of all are fitted too.
         fitted_samples: Poses that were fitted.
         model_error: What the identified robot misses, for the estimators; None: not known.
         nees: Squares of the errors over what `model_error` says of them, per degree of freedom; of
@@ -244,6 +247,7 @@ class Identification(CalibrationResult):
     converged: bool
     excess: float
     unfollowed: tuple[str, ...]
+    mixed: tuple[str, ...]
     fitted_samples: int
     model_error: ModelError | None
     nees: float | None
@@ -289,6 +293,7 @@ class Identification(CalibrationResult):
             "iterations": self.iterations,
             "converged": self.converged,
             "unfollowed": list(self.unfollowed),
+            "mixed": list(self.mixed),
             "fitted_samples": self.fitted_samples,
             "excess": self.excess,
             "model_error": None if self.model_error is None else asdict(self.model_error),
@@ -346,7 +351,17 @@ class Identification(CalibrationResult):
             f"RMS errors of the recordings: {np.median(errors) * 1e3:.1f} mm in the median, "
             f"{errors[worst] * 1e3:.1f} mm at worst ({followed[worst].name})",
             *(left_out if shaken else []),
+            *([self._mixed()] if self.mixed else []),
         ]
+
+    def _mixed(self) -> str:
+        """Say why vibrations were fitted too."""
+        some = len(self.mixed) < sum(run.train is not None for run in self.runs)
+        return (
+            "vibrations of the cables were fitted beside the sway: in "
+            f"{', '.join(self.mixed) if some else 'all recordings'} they are less than twice as "
+            "fast, or poses are too rare to tell them apart"
+        )
 
     def _first_motion(self) -> list[str]:
         """Say that the recording begins in motion, or nothing."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cholesky_banded, solve_banded
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -24,10 +25,10 @@ from carosac_toolkit.robot.robot import Robot
 # still tell a stiffness by their phase.
 WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 WINDOW_PERIODS = 4.0  # of the slowest vibration, from where it leaves so little
-AVERAGES_PER_WINDOW = 5  # that many begin within one: they show sways of up to 2.5 periods in it
-# Of the fastest sway in a window: vibrations of less than twice its frequency shake it, and have to
-# be followed.
-SLOW_PERIODS_MAX = 2.0
+AVERAGES_PER_WINDOW = 5  # begin within one, or as many as poses may be fitted
+# In the fastest sway, or it is not seen: with five a window, two periods in one. Vibrations of less
+# than twice its frequency shake it besides, and have to be followed.
+AVERAGES_PER_SWAY_MIN = 2.5
 NOISE_ALONE_SHARE = 1e-3  # of the variance of an average, that it has in common with no other
 WINDOW_POSES_MIN = 8  # poses in a window
 WINDOW_POSES_MAX = 50  # in the shortest of all windows
@@ -40,11 +41,12 @@ CHANCE = 1e-5  # that noise alone scatters so much in a window
 CALM_WINDOWS = 4  # in a row, as many a window: vibrations have died out
 RINGING_SHARE_MAX = 0.5  # of a recording: one that vibrates for longer is fitted from there on
 PERIODS_BEFORE = 0.5  # of the slowest sway
-LEADING_RATIO = 1.0  # of that time, whose poses lead the search and do not count
 LEADING_SHARE_MAX = 0.3  # of the poses
 LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
 LOCKED_TIMES = 11  # at which that is looked at
-COVERED_SHARE_MIN = 0.5  # of the weight of a window that poses must have
+COVERED_SHARE_MIN = (
+    0.8  # of the weight that poses have in a typical window; less lets vibrations in
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,16 +100,17 @@ class FittedRun:
         if not self.window:
             return errors
         averages, apart = self._averages
-        return np.asarray(apart @ (averages @ errors))
+        return np.asarray(solve_banded((len(apart) - 1, 0), apart, averages @ errors))
 
     @cached_property
     def _averages(self) -> tuple[csr_array, Array]:
-        """Weights with which errors are averaged (K', K), and what takes these apart (K', K').
+        """Weights with which errors are averaged (K', K), and what these have in common.
 
-        Where poses are missing in more than half of a window, there is none.
+        That is the root of their covariance under noise of each pose, over their mean variance:
+        the bands of a lower triangle, shape (b, K'). Windows with a gap are left out.
         """
         time, half = self.poses.time, 0.5 * self.window
-        step = max(self.window / AVERAGES_PER_WINDOW, 1.0 / self.rate)
+        step = spacing(self.window, self.rate)
         count = int(max(0.0, time[-1] - time[0] - self.window) / step) + 1
         center = time[0] + half + step * np.arange(count)
         first, stop = (np.searchsorted(time, center + side) for side in (-half, half))
@@ -116,18 +119,25 @@ class FittedRun:
         away = np.pi * (time[column] - center[row]) / half
         weight = sum(share * np.cos(k * away) for k, share in enumerate(WINDOW))
         total = np.bincount(row, weight, count)
-        whole = WINDOW[0] * self.window / float(np.median(np.diff(time)))
-        kept = total >= min(COVERED_SHARE_MIN * whole, float(total.max()))
+        kept = (total > 0.0) & (total >= COVERED_SHARE_MIN * np.median(total))
         shape = (count, len(time))
         averages = csr_array((weight / np.maximum(total, 1e-9)[row], (row, column)), shape=shape)
         averages = averages[kept]
-        common = (averages @ averages.T).toarray()
-        common /= np.mean(np.diag(common))
-        common += NOISE_ALONE_SHARE * np.eye(len(common))
-        return averages, np.asarray(np.linalg.inv(np.linalg.cholesky(common)))
+        common = averages @ averages.T
+        bands = np.zeros((AVERAGES_PER_WINDOW, int(kept.sum())))
+        for below in range(min(bands.shape)):
+            bands[below, : bands.shape[1] - below] = common.diagonal(-below)
+        bands /= bands[0].mean()
+        bands[0] += NOISE_ALONE_SHARE
+        return averages, cholesky_banded(bands, lower=True)
 
 
-def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
+def spacing(window: float, rate: float) -> float:
+    """Return how far averages over a window [s] are apart, if a rate [Hz] of poses is fitted."""
+    return max(window / AVERAGES_PER_WINDOW, 1.0 / rate)
+
+
+def slow_window(robot: Robot, rest: Equilibrium, time: Array, rate: float) -> float:
     """Return over which time errors are averaged [s], so that only the sway is seen; 0: none.
 
     A platform on less than six cables sways slowly, and vibrates fast on its elastic cables. How
@@ -138,13 +148,14 @@ def slow_window(robot: Robot, rest: Equilibrium, time: Array) -> float:
         robot: Robot description, n cables.
         rest: Its equilibrium on the first lengths, B = 1.
         time: Of the poses [s], shape (K,).
+        rate: Of poses that are fitted, at most [Hz].
     """
     if robot.n >= 6:
         return 0.0
     slow, fast = natural_frequencies(robot, rest)[0, [5 - robot.n, 6 - robot.n]]
     window = WINDOW_PERIODS / fast
-    step = (time[-1] - time[0]) / max(len(time) - 1, 1)
-    if window * slow > SLOW_PERIODS_MAX or window < WINDOW_POSES_MIN * step:
+    seen = AVERAGES_PER_SWAY_MIN * slow * spacing(window, rate) <= 1.0
+    if not seen or len(time) < 2 or window < WINDOW_POSES_MIN * np.median(np.diff(time)):
         return 0.0
     return float(window)
 
@@ -178,7 +189,7 @@ def leading_time(before: float, poses: MeasuredPoses) -> float:
         poses: Measured ones, once vibrations have died out as far as is seen.
     """
     most = float(np.quantile(poses.time, LEADING_SHARE_MAX) - poses.time[0])
-    return min(LEADING_RATIO * before, most)
+    return min(before, most)
 
 
 def is_locked(path: LengthPath, last: float) -> bool:

@@ -35,10 +35,10 @@ class Wide:
     Attributes:
         at: All coordinates where they were taken.
         rough: Of the time steps of the search.
-        exact: Of vanishing ones.
-        near: Over short steps, of the time steps of the search.
+        exact: Of vanishing ones; those of the search along rough axes.
+        near: Over short steps, of the time steps of the search; the same along rough axes.
         hidden: What vibrations that noise hides may change of errors of each run, each column by
-            one sigma, shape (6 K, 2 n).
+            one sigma, shape (6 K, 2 n); nothing along rough axes.
         rough_axes: True if along axes of a covariance by rough derivatives: these mix what is known
             well with what is not, so that some sigmas of one are too many of another.
         dropped: True if they are to be taken anew.

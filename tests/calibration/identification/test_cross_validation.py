@@ -191,6 +191,6 @@ def test_a_candidate_that_is_no_parameter_is_refused():
 
 def test_what_a_few_parts_tell_is_called_undecided():
     told = Candidate(name="capstan_friction", kept=False, gain=0.6, error=0.68)
-    assert "capstan_friction undecided" in told.words and "--free" in told.words
+    assert "capstan_friction undecided" in told.words
     assert "left as in" in replace(told, gain=0.01, error=0.02).words
     assert "undecided" not in replace(told, gain=0.01, error=0.02).words

@@ -92,6 +92,9 @@ def test_numbers_of_each_recording_are_in_the_json(found):
     assert data["recordings"][10]["train"] is None
     assert data["recordings"][10]["test"]["rmse_m"]["norm"] < 3e-3
     assert any("10 recordings (fitted)" in line for line in found.sentences())
+    assert data["mixed"] == [] and not any("beside the sway" in line for line in found.sentences())
+    mixed = replace(found, mixed=("recording 2",))
+    assert any("sway: in recording 2 they are less than" in line for line in mixed.sentences())
 
 
 def test_runs_together_move_as_each_alone(robot, recordings):

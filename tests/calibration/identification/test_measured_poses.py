@@ -56,3 +56,12 @@ def test_poses_without_a_measurement_nearby_are_left_out():
         ),
     )
     assert poses_of(recording).index.tolist() == [0, 1, 2, 3]
+
+
+def test_errors_are_the_same_in_another_world_frame():
+    poses, other = some_poses(), some_poses().rows(np.arange(10, -1, -1))
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
+    errors = poses.errors(other.position, other.rotation)
+    turned = poses.turned(turn).errors(other.position @ turn.T, turn @ other.rotation)
+    assert turned[:, :3] == pytest.approx(errors[:, :3] @ turn.T)
+    assert turned[:, 3:] == pytest.approx(errors[:, 3:])  # in the frame of the platform

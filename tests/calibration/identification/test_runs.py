@@ -29,6 +29,7 @@ from calibration.identification.open_loop import (
 from calibration.identification.runs import (
     FittedRun,
     averaged_rate,
+    fastest_sway,
     is_locked,
     leading_time,
     slow_window,
@@ -51,6 +52,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameters import with_values
 from sim_warp import Simulator
 from tests.robots import eight_cable_robot
 
@@ -74,9 +76,9 @@ def prepared(robot, recording):
     return FittedRun(
         path=path,
         poses=poses,
-        rate=10.0,
+        rate=RATE,
         sway=find_sway(robot, rest, poses, moves=True, before=time_before(robot, rest)),
-        window=slow_window(robot, rest, poses.time),
+        window=slow_window(robot, rest, poses.time, RATE),
     )
 
 
@@ -84,7 +86,7 @@ def lasting(run, duration=10.0):
     """A run whose poses last for longer; only their times are right."""
     rows = np.arange(round(duration * RATE))
     poses = run.poses.rows(np.zeros(len(rows), dtype=int))
-    return replace(run, poses=replace(poses, time=rows / RATE), rate=RATE)
+    return replace(run, poses=replace(poses, time=rows / RATE))
 
 
 def at_home(robot):
@@ -123,14 +125,50 @@ def test_averages_leave_nothing_of_vibrations(plant, runs):
         assert seen < 1e-6 * whole
 
 
+def test_averages_near_a_gap_leave_nothing_of_vibrations_either(plant, runs):
+    run = lasting(runs[0])
+    time = run.poses.time - run.poses.time[0]
+    slowest = natural_frequencies(plant, first_equilibrium(plant, run.path))[0, 3]
+    gap = np.abs(time - 5.0) > 0.75 * run.window
+    few = replace(run, poses=run.poses.rows(np.flatnonzero(gap)))
+    seen, whole = told_of(few, np.sin(2.0 * np.pi * slowest * time[gap]))
+    assert seen < 1e-3 * whole
+
+
 def test_where_sway_and_vibrations_are_not_apart_nothing_is_averaged(plant):
     time = np.arange(0.0, 10.0, 1.0 / RATE)
-    assert slow_window(plant, at_home(plant), time) > 0.0
-    assert slow_window(plant, at_home(plant), time[::10]) == 0.0  # too few poses in a window
+    assert slow_window(plant, at_home(plant), time, RATE) > 0.0
+    some = np.delete(time, np.arange(100, 600))  # poses may be missing for a while
+    assert slow_window(plant, at_home(plant), some, RATE) > 0.0
+    assert slow_window(plant, at_home(plant), time[::10], RATE) == 0.0  # too few poses in a window
+    assert slow_window(plant, at_home(plant), time[:1], RATE) == 0.0
     soft = replace(plant, axial_stiffness=1e-3 * plant.axial_stiffness)
-    assert slow_window(soft, at_home(soft), time) == 0.0
+    assert slow_window(soft, at_home(soft), time, RATE) == 0.0
     for robot in (ct.load_robot("cogiro"), eight_cable_robot()):  # no sway at all
-        assert slow_window(robot, at_home(robot), time) == 0.0
+        assert slow_window(robot, at_home(robot), time, RATE) == 0.0
+
+
+def test_nothing_is_averaged_where_averages_would_be_too_rare_to_show_a_sway(plant):
+    time = np.arange(0.0, 10.0, 1.0 / RATE)
+    sway = fastest_sway(plant, at_home(plant))
+    assert slow_window(plant, at_home(plant), time, 2.6 * sway) > 0.0
+    assert slow_window(plant, at_home(plant), time, 2.4 * sway) == 0.0
+
+
+def test_windows_are_of_the_robot_that_is_nearly_found(plant, runs):
+    soft = replace(plant, axial_stiffness=plant.axial_stiffness / 3.0)
+    mixed = replace(plant, axial_stiffness=plant.axial_stiffness / 1000.0)
+    kept = np.arange(0.0, 10.0, 1.0 / RATE)
+    part = procedure._Part(name="swing", recording=None, train=(0, 10), test=None)
+    path = runs[0].path
+    for robot in (plant, soft):
+        found = procedure._Averaged.of([part], robot, [kept], [path], RATE)
+        slowest = natural_frequencies(robot, first_equilibrium(robot, path))[0, 3]
+        assert found.windows == pytest.approx([4.0 / slowest]) and found.mixed == ()
+    found = procedure._Averaged.of([part], mixed, [kept], [path], RATE)
+    assert found.mixed == ("swing",)
+    held_out = replace(part, train=None, test=(0, 10))
+    assert procedure._Averaged.of([held_out], mixed, [kept], [path], RATE).mixed == ()
 
 
 def test_no_motion_tells_the_unit_of_force(plant, runs):
@@ -397,14 +435,14 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
 
 
 def test_windows_without_poses_are_left_out(runs):
-    run = runs[0]
+    run = lasting(runs[0])
     time = run.poses.time - run.poses.time[0]
-    gap = replace(run, poses=run.poses.rows(np.flatnonzero((time < 0.35) | (time > 0.65))))
-    seen = gap.poses.time - gap.poses.time[0]
-    slope = gap.seen(np.tile(seen[:, None], (1, 6)))[:, 0]  # of time: the centre of each window
-    whole = run.seen(np.tile(time[:, None], (1, 6)))[:, 0]
-    assert 0 < len(slope) < len(whole)
-    assert np.abs(slope[:, None] - whole).min(axis=1).max() < 0.25 * run.window
+    around = np.abs(time - 5.0) < 0.5
+    gap = replace(run, poses=run.poses.rows(np.flatnonzero(~around)))
+    centers, whole = gap._averages[0] @ time[~around], run._averages[0] @ time
+    assert 0 < len(centers) < len(whole)
+    assert np.abs(centers[:, None] - whole).min(axis=1).max() < 0.1 * run.window
+    assert np.abs(centers - 5.0).min() > 0.5
 
 
 def test_poses_at_first_lead_the_search_and_do_not_count(runs):
@@ -435,7 +473,9 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
     paths = [LengthPath(each) for each in recordings]
     rests = [first_equilibrium(plant, path) for path in paths]
     poses = [poses_of(each) for each in recordings]
-    windows = [slow_window(plant, rest, each.time) for rest, each in zip(rests, poses, strict=True)]
+    windows = [
+        slow_window(plant, rest, each.time, RATE) for rest, each in zip(rests, poses, strict=True)
+    ]
     prepare = partial(procedure._prepare, parts, plant, poses, settings, paths, plant)
     locked, moving = (run.fitted for run in prepare(windows))
     assert locked.leading > 0.2 and locked.begin < locked.poses.time[0]
@@ -448,6 +488,30 @@ def test_poses_of_locked_winches_lead_and_of_moving_ones_all_count(plant):
         [parts[0], kept_back], plant, poses, settings, paths, plant, [0.48, 0.2]
     )
     assert beside[0].fitted.averaged_rate == averaged_rate([0.48])  # what is fitted stays as it is
+
+
+def test_starts_are_guessed_in_the_frame_of_the_robot_that_is_nearly_found(plant):
+    """That sees poses turned by its tilt, by 6 cm at the height of its exit points."""
+    tilted = with_values(plant, ["pose_tilt.x", "pose_tilt.y"], np.array([0.02, -0.01]))
+    level = with_values(plant, ["pose_tilt.x", "pose_tilt.y"], np.zeros(2))
+    settings = resolved(IdentificationSettings(), Scales(plant).ratios)
+    short = OscillationSettings(count=2, duration=3.0, time_step=0.01)
+    recordings = simulate_oscillations(tilted, 3, short)
+    parts = [
+        procedure._Part(name="swing", recording=each, train=(0, len(each.time)), test=None)
+        for each in recordings
+    ]
+    paths, poses = (
+        [LengthPath(each) for each in recordings],
+        [poses_of(each) for each in recordings],
+    )
+    runs = procedure._prepare(parts, level, poses, settings, paths, tilted, [0.4, 0.4])
+    sways = [run.fitted.sway for run in runs]
+    starts = [OpenLoopStart(sway=sway, coordinates=sway.guess[None]) for sway in sways]
+    for errors in procedure._motions(level, tilted, runs, settings, starts):
+        assert np.linalg.norm(errors[0, :3]) < 0.006  # it is 0.03 if poses are not turned
+    for errors in procedure._motions(level, level, runs, settings, [run.guess for run in runs]):
+        assert np.linalg.norm(errors[0, :3]) > 0.015
 
 
 def test_many_poses_are_thinned(runs):

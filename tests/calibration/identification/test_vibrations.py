@@ -51,7 +51,7 @@ def run(plant):
     rest = first_equilibrium(plant, path)
     before = time_before(plant, rest)
     return FittedRun(
-        path=path, poses=poses, rate=10.0, window=slow_window(plant, rest, poses.time),
+        path=path, poses=poses, rate=10.0, window=slow_window(plant, rest, poses.time, 10.0),
         sway=find_sway(plant, rest, poses, moves=True, before=before),
     )  # fmt: skip
 
