@@ -189,24 +189,30 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        if nearly is not None:
-            self._first = np.concatenate([nearly, self._first[self._count :]])
+        self._begin_at(nearly)
         if nearly is not None and self._sways:
             return self._settled(self._started(self._first, POSE_SHARES[:-1]), report)
         return self._settled(self._approached(report), report)
 
-    def approach(self, report: ProgressCallback) -> Array:
+    def approach(self, report: ProgressCallback, nearly: Array | None = None) -> Array:
         """Search as far as a part of the poses leads; return the coordinates (k,) there.
 
         Args:
             report: As of `run`.
+            nearly: The same.
         """
+        self._begin_at(nearly)
         return self._approached(report)[: self._count]
+
+    def _begin_at(self, coordinates: Array | None) -> None:
+        """Let a search begin at coordinates of the robot (k,), if there are any."""
+        if coordinates is not None:
+            self._first = np.concatenate([coordinates, self._first[self._count :]])
 
     def _approached(self, report: ProgressCallback) -> Array:
         """Return all coordinates to which ever more of the poses lead."""
-        whole, at = self._runs, self._first
-        shares = SHARES_OF_MANY if self._many else POSE_SHARES
+        whole, at = self._runs, self._started(self._first)
+        shares = SHARES_OF_MANY if self._many and not self._sways else POSE_SHARES
         for share in shares[:-1]:
             self._runs = tuple(run.first(share) for run in whole)
             at = self._settle(at, STEPS_PER_SHARE, report).at
@@ -335,10 +341,11 @@ class Fitter:
             hessian, gradient = information + self._precision, gradient + self._known.gradient
             rough = coarse and self._sways and steps is None
             promise = self._promise(self._bounded(at, hessian, gradient), hessian, gradient)
-            settled, stuck = promise <= (near if rough else least), False
+            enough = near if rough else least
+            settled, stuck = promise <= enough, False
             if not settled or (self._sways and not coarse):  # by exact derivatives, a last one too
-                step = self._search(at, hessian, gradient, errors, noise, damping, least)
-                stuck = not settled and step.decrease <= least
+                step = self._search(at, hessian, gradient, errors, noise, damping, enough)
+                stuck = not settled and step.decrease <= enough
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
             if self._wide is not None and self._wide.rough_axes:  # good for one step

@@ -70,6 +70,8 @@ BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
 POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
+# What vibrations tell, which are followed at first: their phase leads to wrong values as well.
+VIBRATING = ("axial_stiffness", "axial_damping")
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
@@ -334,22 +336,30 @@ def _identify(
     times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
 
     prepare = partial(_prepare, parts, robot, poses, chosen, paths)
-    runs = prepare(robot, [0.0] * len(parts))
+    none = [0.0] * len(parts)
+    runs = prepare(robot, none)
     before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
     trained = [run.fitted for run in runs if run.part.train is not None]
     nearly = averaged = None
     if len(trained) >= RUNS_APART_MIN and robot.n < 6:
-        some = _spread(trained, APPROACH_RUNS_MAX)
-        nearly = Fitter(unknowns, some, chosen, frequencies=frequencies).approach(report)
-        averaged = (
-            _Averaged.of(parts, unknowns.robot_at(nearly), times, paths, chosen.rate)
-            if other is None
-            else other.averaged
-        )
-    if averaged is not None and not averaged.mixed:
-        runs = prepare(averaged.robot, averaged.windows)
+
+        def lead(runs: Sequence[_Run], begin: Array | None = None) -> tuple[Array, _Averaged]:
+            some = _spread([run.fitted for run in runs if run.part.train], APPROACH_RUNS_MAX)
+            fitter = Fitter(unknowns, some, chosen, frequencies=frequencies)
+            near = fitter.approach(report, begin)
+            robot_there = unknowns.robot_at(near)
+            return near, _Averaged.of(parts, robot_there, times, paths, chosen.rate)
+
+        nearly, averaged = lead(runs)
+        if not averaged.mixed:
+            runs = prepare(averaged.robot, averaged.windows)
+            nearly, averaged = lead(runs, unknowns.as_before(nearly, VIBRATING))
+        averaged = averaged if other is None else other.averaged
+    if averaged is not None:
+        apart = not averaged.mixed
+        runs = prepare(*(averaged.robot, averaged.windows) if apart else (robot, none))
         before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
     judge = None if other is None else other.result.folds.judge

@@ -11,6 +11,7 @@ hardly know it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -113,6 +114,11 @@ class Coordinates:
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = (shear @ spread @ shear.T) * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
+
+    def as_before(self, coordinates: Array, fields: Sequence[str]) -> Array:
+        """Return coordinates (k,) with some fields as the robot file has them."""
+        again = np.array([field_of(name) in fields for name in self.prior.names])
+        return np.where(again, np.maximum(0.0, self.lower), coordinates)
 
     def moved(self, at: Array, step: Array) -> Array:
         """Return coordinates after a step to first order, shape (k,).

@@ -235,3 +235,11 @@ def test_the_covariance_of_parameters_along_a_curve_is_that_of_where_draws_lead(
     assert variance[mass] / unknowns.robot.mass**2 == pytest.approx(expected, rel=0.01)
     expected = 1.0 + 4.0 * 3.0  # the fourth moment of a Gaussian is 3
     assert variance[exit_x] / unknowns.scale[exit_x] ** 2 == pytest.approx(expected, rel=0.05)
+
+
+def test_some_fields_are_again_as_the_file_has_them(unknowns):
+    at = np.random.default_rng(3).uniform(0.1, 0.5, len(unknowns.prior.names))
+    again = unknowns.as_before(at, ("axial_stiffness", "axial_damping"))
+    held = np.array([name.startswith("axial_") for name in unknowns.prior.names])
+    assert held.sum() == 2 and not again[held].any() and (again[~held] == at[~held]).all()
+    assert unknowns.robot_at(again).axial_damping == pytest.approx(unknowns.robot.axial_damping)
