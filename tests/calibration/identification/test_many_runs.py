@@ -24,7 +24,7 @@ SHORT = OscillationSettings(count=12, duration=4.0, rate=50.0)
 FEW = replace(
     SURVEYED, exit_points=0.0, anchor_points=0.0, length_offset=0.0, mass=0.0, linear_density=0.0,
     axial_stiffness=0.0, axial_damping=0.0, run_length=0.0, exit_friction=0.0, pose_tilt=0.0,
-    rate=5.0,
+    rate=8.0,
 )  # fmt: skip  # what remains: centre of mass, inertia, both drags, dry friction at the anchors
 
 
