@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -44,6 +44,7 @@ from calibration.identification.runs import (
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import Coordinates, choose_coordinates, group_of
+from calibration.identification.vibration_scan import stiffness_factor
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -297,6 +298,65 @@ class _Averaged:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Leader:
+    """A search that leads near to a robot, by a dozen of many recordings.
+
+    Attributes:
+        parts: Recordings.
+        unknowns: Coordinates of the robot.
+        settings: Of the computation.
+        frequencies: Measured beside the recordings; None: none.
+        times: Of the poses of each [s], shape (K,).
+        paths: Readings of each.
+        report: As of `identify`.
+    """
+
+    parts: Sequence[_Part]
+    unknowns: Coordinates
+    settings: IdentificationSettings
+    frequencies: FrequencyTable | None
+    times: Sequence[Array]
+    paths: Sequence[LengthPath]
+    report: ProgressCallback
+
+    def lead(
+        self, runs: Sequence[_Run], prepare: Callable[[Robot, Sequence[float]], list[_Run]]
+    ) -> tuple[Array, _Averaged]:
+        """Return coordinates (k,) near to the robot, and how errors are to be averaged.
+
+        A first search follows vibrations, and finds the sway. What vibrations tell of the cables is
+        found from their frequencies, and if they are not seen, from averages.
+
+        Args:
+            runs: Prepared without averages.
+            prepare: What prepares them with averages, for a robot and by windows.
+        """
+        nearly = self._search(runs)
+        averaged = self._averaged(nearly)
+        if averaged.mixed:
+            return nearly, averaged
+        nearly = self.unknowns.as_before(nearly, VIBRATING)
+        fitted = [run.fitted for run in runs if run.part.train is not None]
+        robot, reach = self.unknowns.robot_at(nearly), self.unknowns.stiffness_reach
+        factor = stiffness_factor(robot, fitted, reach) if reach else None
+        if factor is None:
+            nearly = self._search(prepare(averaged.robot, averaged.windows), nearly)
+        else:
+            nearly = self.unknowns.stiffened(nearly, factor)
+        return nearly, self._averaged(nearly)
+
+    def _search(self, runs: Sequence[_Run], begin: Array | None = None) -> Array:
+        fitted = [run.fitted for run in runs if run.part.train is not None]
+        some = _spread(fitted, APPROACH_RUNS_MAX)
+        fitter = Fitter(self.unknowns, some, self.settings, frequencies=self.frequencies)
+        return fitter.approach(self.report, begin)
+
+    def _averaged(self, nearly: Array) -> _Averaged:
+        robot = self.unknowns.robot_at(nearly)
+        return _Averaged.of(self.parts, robot, self.times, self.paths, self.settings.rate)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Fit:
     """An identification.
 
@@ -344,18 +404,11 @@ def _identify(
     trained = [run.fitted for run in runs if run.part.train is not None]
     nearly = averaged = None
     if len(trained) >= RUNS_APART_MIN and robot.n < 6:
-
-        def lead(runs: Sequence[_Run], begin: Array | None = None) -> tuple[Array, _Averaged]:
-            some = _spread([run.fitted for run in runs if run.part.train], APPROACH_RUNS_MAX)
-            fitter = Fitter(unknowns, some, chosen, frequencies=frequencies)
-            near = fitter.approach(report, begin)
-            robot_there = unknowns.robot_at(near)
-            return near, _Averaged.of(parts, robot_there, times, paths, chosen.rate)
-
-        nearly, averaged = lead(runs)
-        if not averaged.mixed:
-            runs = prepare(averaged.robot, averaged.windows)
-            nearly, averaged = lead(runs, unknowns.as_before(nearly, VIBRATING))
+        leader = _Leader(
+            parts=parts, unknowns=unknowns, settings=chosen, frequencies=frequencies, times=times,
+            paths=paths, report=report,
+        )  # fmt: skip
+        nearly, averaged = leader.lead(runs, prepare)
         averaged = averaged if other is None else other.averaged
     if averaged is not None:
         apart = not averaged.mixed

@@ -120,6 +120,17 @@ class Coordinates:
         again = np.array([field_of(name) in fields for name in self.prior.names])
         return np.where(again, np.maximum(0.0, self.lower), coordinates)
 
+    @property
+    def stiffness_reach(self) -> float:
+        """Largest logarithm of a factor that the EA may have, three sigmas; 0 if it is held."""
+        stiffness = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
+        return float(np.max(3.0 * self.scale * self.prior.sigma, where=stiffness, initial=0.0))
+
+    def stiffened(self, coordinates: Array, factor: float) -> Array:
+        """Return coordinates (k,) with cables whose EA is another by a factor."""
+        stiffness = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
+        return np.where(stiffness, coordinates + np.log(factor) / self.scale, coordinates)
+
     def moved(self, at: Array, step: Array) -> Array:
         """Return coordinates after a step to first order, shape (k,).
 

@@ -243,3 +243,10 @@ def test_some_fields_are_again_as_the_file_has_them(unknowns):
     held = np.array([name.startswith("axial_") for name in unknowns.prior.names])
     assert held.sum() == 2 and not again[held].any() and (again[~held] == at[~held]).all()
     assert unknowns.robot_at(again).axial_damping == pytest.approx(unknowns.robot.axial_damping)
+
+
+def test_cables_are_stiffened_by_a_factor(unknowns):
+    at = np.zeros(len(unknowns.prior.names))
+    stiff = unknowns.robot_at(unknowns.stiffened(at, 1.7))
+    assert stiff.axial_stiffness == pytest.approx(1.7 * unknowns.robot.axial_stiffness)
+    assert unknowns.stiffness_reach == pytest.approx(3.0 * np.log(2.0), rel=0.02)
