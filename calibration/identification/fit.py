@@ -348,8 +348,8 @@ class Fitter:
                 stuck = not settled and step.decrease <= enough
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
-            if self._wide is not None and self._wide.rough_axes:  # good for one step
-                self._wide, settled = replace(self._wide, dropped=True), False
+            if self._leads_roughly:
+                settled = False
                 continue
             ended = settled or stuck
             if ended and final:
@@ -366,7 +366,7 @@ class Fitter:
 
     @property
     def _leads_roughly(self) -> bool:
-        """True where derivatives over some sigmas are along rough axes."""
+        """True where derivatives over some sigmas are along rough axes: they lead one step."""
         return self._wide is not None and self._wide.rough_axes
 
     def _excess(
@@ -550,7 +550,7 @@ class Fitter:
         if wide is not None and starts:
             return [_of_starts(each, self._count) for each in wide.jacobians]
         if robot and self._sways and not coarse and hessian is not None:
-            if wide is None or wide.is_stale(at, hessian, self._count):
+            if wide is None or wide.rough_axes or wide.is_stale(at, hessian, self._count):
                 wide = self._wide = self._taken_wide(at, hessian)
             return wide.jacobians
         near = self._near

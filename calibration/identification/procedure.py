@@ -71,7 +71,7 @@ BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
 POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
-# What vibrations tell, which are followed at first: their phase leads to wrong values as well.
+# What the phase of vibrations seems to tell: a search that follows them may end at wrong values.
 VIBRATING = ("axial_stiffness", "axial_damping")
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
@@ -396,8 +396,7 @@ def _identify(
     times = [each.within(*_fitted_span(part)).time for part, each in zip(parts, poses, strict=True)]
 
     prepare = partial(_prepare, parts, robot, poses, chosen, paths)
-    none = [0.0] * len(parts)
-    runs = prepare(robot, none)
+    runs = prepare(robot, [0.0] * len(parts))
     before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
     for run, errors in zip(runs, before, strict=True):
         _check_start(run.part.name, robot, errors)
@@ -410,9 +409,8 @@ def _identify(
         )  # fmt: skip
         nearly, averaged = leader.lead(runs, prepare)
         averaged = averaged if other is None else other.averaged
-    if averaged is not None:
-        apart = not averaged.mixed
-        runs = prepare(*(averaged.robot, averaged.windows) if apart else (robot, none))
+    if averaged is not None and not averaged.mixed:
+        runs = prepare(averaged.robot, averaged.windows)
         before = _motions(robot, robot, runs, chosen, [run.guess for run in runs])
         trained = [run.fitted for run in runs if run.part.train is not None]
     judge = None if other is None else other.result.folds.judge
@@ -578,7 +576,9 @@ def _prepare(
             sway=sway(nearly, rest, seen.turned(turn)), window=window,
             leading=leading_time(before, seen) if before else 0.0, averaged_rate=rate,
         )  # fmt: skip
-        known = sway(robot, first_equilibrium(robot, path), seen)
+        known = fitted.sway
+        if nearly is not robot:
+            known = sway(robot, first_equilibrium(robot, path), seen)
         runs.append(
             _Run(
                 part=part, poses=seen, left_out=float(seen.time[0] - each.time[0]), first=first,

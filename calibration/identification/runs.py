@@ -44,9 +44,8 @@ PERIODS_BEFORE = 0.5  # of the slowest sway
 LEADING_SHARE_MAX = 0.3  # of the poses
 LOCKED_SHARE_MAX = 1e-3  # of a length, by which one of a locked winch seems to change
 LOCKED_TIMES = 11  # at which that is looked at
-COVERED_SHARE_MIN = (
-    0.8  # of the weight that poses have in a typical window; less lets vibrations in
-)
+# Of the weight that poses have in a typical window; a window with less lets vibrations in.
+COVERED_SHARE_MIN = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -41,7 +41,6 @@ class Wide:
             one sigma, shape (6 K, 2 n); nothing along rough axes.
         rough_axes: True if along axes of a covariance by rough derivatives: these mix what is known
             well with what is not, so that some sigmas of one are too many of another.
-        dropped: True if they are to be taken anew.
     """
 
     at: Array
@@ -50,7 +49,6 @@ class Wide:
     near: list[Array]
     hidden: list[Array]
     rough_axes: bool = False
-    dropped: bool = False
 
     @property
     def jacobians(self) -> list[Array]:
@@ -58,15 +56,13 @@ class Wide:
         return [0.5 * (exact + near) for exact, near in zip(self.exact, self.near, strict=True)]
 
     def is_stale(self, at: Array, hessian: Array, robot: int) -> bool:
-        """Say whether they were dropped, or a search has left them by a sigma of each coordinate.
+        """Say whether a search has left them by more than a sigma of each coordinate of the robot.
 
         Args:
             at: All coordinates now.
             hessian: Of the cost.
             robot: How many coordinates are of the robot, the first ones.
         """
-        if self.dropped:
-            return True
         own, start = slice(robot), slice(robot, None)
         off = (at - self.at)[own]
         follow = np.linalg.solve(hessian[start, start], hessian[start, own] @ off)

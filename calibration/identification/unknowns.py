@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
@@ -117,19 +118,18 @@ class Coordinates:
 
     def as_before(self, coordinates: Array, fields: Sequence[str]) -> Array:
         """Return coordinates (k,) with some fields as the robot file has them."""
-        again = np.array([field_of(name) in fields for name in self.prior.names])
-        return np.where(again, np.maximum(0.0, self.lower), coordinates)
+        return np.where(self._are_of(fields), np.maximum(0.0, self.lower), coordinates)
 
     @property
     def stiffness_reach(self) -> float:
         """Largest logarithm of a factor that the EA may have, three sigmas; 0 if it is held."""
-        stiffness = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
-        return float(np.max(3.0 * self.scale * self.prior.sigma, where=stiffness, initial=0.0))
+        sigmas = 3.0 * self.scale * self.prior.sigma
+        return float(np.max(sigmas, where=self._are_of(["axial_stiffness"]), initial=0.0))
 
     def stiffened(self, coordinates: Array, factor: float) -> Array:
         """Return coordinates (k,) with cables whose EA is another by a factor."""
-        stiffness = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
-        return np.where(stiffness, coordinates + np.log(factor) / self.scale, coordinates)
+        change = np.log(factor) / self.scale
+        return np.where(self._are_of(["axial_stiffness"]), coordinates + change, coordinates)
 
     def moved(self, at: Array, step: Array) -> Array:
         """Return coordinates after a step to first order, shape (k,).
@@ -144,8 +144,11 @@ class Coordinates:
     @property
     def power(self) -> Array:
         """Power of each parameter to which motion is in proportion, shape (k,): 1, or -1 of EA."""
-        inverse = np.array([field_of(name) == "axial_stiffness" for name in self.prior.names])
-        return np.where(inverse, -1.0, 1.0)
+        return np.where(self._are_of(["axial_stiffness"]), -1.0, 1.0)
+
+    def _are_of(self, fields: Sequence[str]) -> NDArray[np.bool_]:
+        """Say which coordinates are of some fields, shape (k,)."""
+        return np.array([field_of(name) in fields for name in self.prior.names])
 
     @cached_property
     def alike(self) -> Array | None:
