@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
@@ -233,6 +234,11 @@ def sway_degree(time: float, sway: float) -> int:
     return SWAY_DEGREE + math.ceil(SWAY_DEGREE_PER_PERIOD * time * sway)
 
 
+def sway_basis(time: Array, span: float, degree: int) -> Array:
+    """Return orthonormal polynomials of a sway over 0 to `span` [s] in columns, (K, degree + 1)."""
+    return np.asarray(np.linalg.qr(legvander(2.0 * time / span - 1.0, degree))[0])
+
+
 def _scatter(poses: MeasuredPoses, window: float, degree: int) -> tuple[Array, Array, Array]:
     """Return how positions and rotations scatter in windows about polynomials of a degree.
 
@@ -247,10 +253,8 @@ def _scatter(poses: MeasuredPoses, window: float, degree: int) -> tuple[Array, A
         if len(rows) > degree + 1:
             turn = poses.rotation[rows[0]].T @ poses.rotation[rows]
             motion = np.hstack([poses.position[rows], Rotation.from_matrix(turn).as_rotvec()])
-            basis = np.polynomial.legendre.legvander(
-                2.0 * (poses.time[rows] - begin) / window - 1.0, degree
-            )
-            left = motion - basis @ np.linalg.lstsq(basis, motion, rcond=None)[0]
+            basis = sway_basis(poses.time[rows] - begin, window, degree)
+            left = motion - basis @ (basis.T @ motion)
             freedoms.append(len(rows) - degree - 1)
             begins.append(begin)
             scatters.append((left**2).sum(axis=0).reshape(2, 3).sum(axis=1) / freedoms[-1])

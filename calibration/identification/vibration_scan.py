@@ -12,17 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from calibration.identification.measured_poses import MeasuredPoses, rotation_vectors
 from calibration.identification.open_loop import first_equilibrium
-from calibration.identification.runs import FittedRun, sway_degree
+from calibration.identification.runs import FittedRun, fastest_sway, sway_basis, sway_degree
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.physics.rest.modes import Modes, natural_frequencies, natural_modes
+from carosac_toolkit.physics.rest.modes import Modes, natural_modes
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 0.03  # of its logarithm: less than a line is wide
+STEP = 0.03  # of the logarithm of the stiffness: less than a line is wide
 SWAYS = 3.0  # periods of the fastest sway in which vibrations are looked for
 DECAY_SHARE = 2.0 / 3.0  # of that time, in which they are taken to fall by a factor of e
 APART_RATIO_MIN = 1.25  # of a vibration to the fastest motion that goes for a sway
@@ -37,11 +36,9 @@ def stiffness_factor(robot: Robot, runs: Sequence[FittedRun], reach: float) -> f
         runs: Recordings.
         reach: Largest logarithm of the factor, either way.
     """
-    lengths = np.concatenate([
-        first_equilibrium(robot, run.path).unstrained_length for run in runs
-    ])  # fmt: skip
-    rest = statics.forward_kinematics(robot, lengths)
-    sway = float(natural_frequencies(robot, rest)[:, 5 - robot.n].max())
+    rests = [first_equilibrium(robot, run.path) for run in runs]
+    lengths = np.concatenate([rest.unstrained_length for rest in rests])
+    sway = max(fastest_sway(robot, rest) for rest in rests)
     span = SWAYS / sway
     degree = sway_degree(span, sway)
     fast = [_Fast.of(run.poses, span, degree) for run in runs]
@@ -94,7 +91,7 @@ class _Fast:
         first = poses.rotation[0]
         turned = rotation_vectors(first.T @ poses.rotation[rows]) @ first.T
         motion = np.hstack([poses.position[rows], turned])
-        basis = np.linalg.qr(legvander(2.0 * time[rows] / span - 1.0, degree))[0]
+        basis = sway_basis(time[rows], span, degree)
         motion = motion - basis @ (basis.T @ motion)
         power = (motion**2).reshape(-1, 2, 3).sum(axis=(0, 2)) / (3 * freedoms)
         scatter = np.repeat(np.sqrt(power), 3)

@@ -18,12 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.run_simulator import RunSimulator
-from calibration.identification.runs import FittedRun, sway_degree
+from calibration.identification.runs import FittedRun, sway_basis, sway_degree
 from calibration.identification.sway import stretch_sigma
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
@@ -186,6 +185,6 @@ def _fast(run: FittedRun, errors: Array) -> tuple[Array, int]:
     degree = sway_degree(span, float(run.sway.frequency.max()) / (2.0 * np.pi))
     if rows.sum() <= degree + 1:
         return errors[..., :0, :], 0
-    basis = np.linalg.qr(legvander(2.0 * time[rows] / span - 1.0, degree))[0]
+    basis = sway_basis(time[rows], span, degree)
     seen = errors[..., rows, :]
     return np.asarray(seen - basis @ (basis.T @ seen)), int(rows.sum()) - degree - 1
