@@ -72,7 +72,7 @@ POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
 # What the phase of vibrations seems to tell: a search that follows them may end at wrong values.
-VIBRATING = ("axial_stiffness", "axial_damping")
+VIBRATING = ("axial_stiffness",)
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
