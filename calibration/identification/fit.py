@@ -75,6 +75,9 @@ FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may lea
 # Of a typical run's cost: one that costs more starts anew once a search has led near. Chance alone
 # leads to 1.5.
 LOST_COST_RATIO = 2.0
+# Growths of the first guess of a start from which one is sought: friction takes away what a mode
+# swung by before its first pose.
+GUESS_GROWTHS = (1.0, 1.5)
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
@@ -817,7 +820,7 @@ class Fitter:
                 return replace(
                     found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
                 )
-            damping *= 5.0
+            damping = max(5.0 * damping, DAMPING_START)
         if self._exact:
             self._errors_at(at)  # trials are near there again
         return Step(at=at, errors=errors, cost=lowest)
@@ -894,11 +897,29 @@ class Fitter:
         if not self._sways:
             return at
         whole = self._runs
+        ways = [np.concatenate([at[: self._count], g * at[self._count :]]) for g in GUESS_GROWTHS]
         for share in shares:
             self._runs = tuple(run.first(share) for run in whole)
-            at = self._suited(at)
+            at = self._likeliest([self._suited(way) for way in ways])
+            ways = [at]
         self._runs = whole
         return at
+
+    def _likeliest(self, ways: Sequence[Array]) -> Array:
+        """Return all coordinates, with the start of each run that suits it best of some ways."""
+        best = ways[0].copy()
+        if len(ways) == 1:
+            return best
+        errors = [self._errors_at(way) for way in ways]
+        noise = self._noise(errors[0])
+        for k, rows in enumerate(self._own):
+            own = rows[self._count :]
+            costs = [
+                self._cost_of(k, each[k], noise) + float(way[own] @ way[own])
+                for way, each in zip(ways, errors, strict=True)
+            ]
+            best[own] = ways[int(np.argmin(costs))][own]
+        return best
 
     def _suited(self, at: Array) -> Array:
         """Let runs start as suits the robot."""

@@ -570,7 +570,8 @@ def _prepare(
             if is_locked(path, max(calm.time[0], path.first + early)):
                 seen, before = calm, early
         first = _first_speed(nearly, part.recording, seen)
-        sway = partial(find_sway, moves=first.moves, before=before)
+        moves = first.moves or before > 0.0  # of what seems to rest, averages show a slow sway
+        sway = partial(find_sway, moves=moves, before=before)
         fitted = FittedRun(
             path=path, poses=seen.within(*_fitted_span(part)), rate=settings.rate,
             sway=sway(nearly, rest, seen.turned(turn)), window=window,
