@@ -31,7 +31,8 @@ from calibration.identification.spread import (
     symmetric_draws,
 )
 from calibration.identification.unknowns import Coordinates
-from calibration.identification.vibrations import hidden_vibrations
+from calibration.identification.vibration_scan import stiffness_factor
+from calibration.identification.vibrations import HiddenVibrations, hidden_vibrations
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
@@ -174,7 +175,7 @@ class Fitter:
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
-        self._rest: list[Array] = []  # what they make errors wrong by
+        self._rest: list[Array] = []  # what they and hidden vibrations make errors wrong by
         self._rest_at = self._first  # where that was found
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -332,7 +333,7 @@ class Fitter:
             least = (PART_DECREASE if steps else MANY_DECREASE) * self._count
         for count in range(1, (steps or self._settings.iterations) + 1):
             final = steps is not None or not coarse  # it may end with these derivatives
-            jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
+            errors, jacobians = self._linear_at(at, errors, coarse=coarse, hessian=hessian)
             if count <= NOISE_UPDATES_MAX:
                 noise = self._noise(errors)
             poses = sum(len(run.poses.time) for run in self._runs)
@@ -366,6 +367,14 @@ class Fitter:
                 coarse &= not (ended or rough)
         settled &= final
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
+
+    def _linear_at(
+        self, at: Array, errors: list[Array], *, coarse: bool, hessian: Array | None
+    ) -> tuple[list[Array], list[Array]]:
+        """Return errors and derivatives; where these are taken anew, so are hidden vibrations."""
+        wide = self._wide
+        jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
+        return (errors if self._wide is wide else self._errors_at(at)), jacobians
 
     @property
     def _leads_roughly(self) -> bool:
@@ -470,6 +479,8 @@ class Fitter:
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6), of vanishing time steps where `_exact`.
 
+        Vibrations that noise hides are taken into account as soon as they were looked for.
+
         Many recordings tell frequencies better than time steps that are short enough for a motion.
         What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
         """
@@ -484,6 +495,11 @@ class Fitter:
             ]
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of the robot")
+        if self._wide is not None:
+            self._rest = [
+                rest + hidden.drift
+                for rest, hidden in zip(self._rest, self._wide.hidden, strict=True)
+            ]
         return [each[0] + more for each, more in zip(errors, self._rest, strict=True)]
 
     def _leave_out(self, at: Array, errors: Sequence[Array]) -> None:
@@ -640,32 +656,43 @@ class Fitter:
         if alike:
             for each in (rough, exact):
                 self._fill_alike(each)
-        near, hidden = exact, [np.zeros((each[:, :, 0].size, 0)) for each in rough]
+        near, hidden = exact, [HiddenVibrations.none(each[:, :, 0]) for each in rough]
         if not rough_axes:
             near = self._jacobians(at, coarse=True)
-            hidden = self._hidden_vibrations(at, hidden)
+            hidden = self._hidden_vibrations(at, hessian, hidden)
         return Wide(
             at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden, rough_axes=rough_axes
         )
 
-    def _hidden_vibrations(self, at: Array, none: Sequence[Array]) -> list[Array]:
-        """Return what vibrations that noise hides may change, as `hidden_vibrations`.
+    def _hidden_vibrations(
+        self, at: Array, hessian: Array, none: Sequence[HiddenVibrations]
+    ) -> list[HiddenVibrations]:
+        """Return what vibrations that noise hides change, as `hidden_vibrations`.
+
+        A sway knows the stiffness less well than would keep vibrations in step.
 
         Args:
             at: All coordinates.
-            none: Of each run, shape (6 K, 0): of one whose start has them as unknowns.
+            hessian: Of the cost, about.
+            none: Of each run, what stands for one whose start has vibrations as unknowns.
         """
         hidden = list(none)
         which = [k for k, run in enumerate(self._runs) if not len(run.sway.stretch_sigma)]
-        drifts = hidden_vibrations(
+        unknowns, robot = self._unknowns, at[: self._count]
+        reach = unknowns.stiffness_reach(np.sqrt(np.diag(np.linalg.inv(hessian)))[: self._count])
+        runs = [self._whole[k] for k in which]
+        if reach and runs:
+            factor = stiffness_factor(unknowns.robot_at(robot), runs, reach)
+            robot = robot if factor is None else unknowns.stiffened(robot, factor)
+        found = hidden_vibrations(
             self._simulator,
-            [self._whole[k] for k in which],
+            runs,
             [self._runs[k] for k in which],
-            [at[self._own[k]] for k in which],
-            self._unknowns.robot_at(at[: self._count]),
+            [np.concatenate([robot, at[self._own[k][self._count :]]]) for k in which],
+            unknowns.robot_at(robot),
             self._time_step,
         )
-        for k, each in zip(which, drifts, strict=True):
+        for k, each in zip(which, found, strict=True):
             hidden[k] = each
         return hidden
 
@@ -690,7 +717,7 @@ class Fitter:
                     robot=flat[:, :count],
                     start=flat[:, count:],
                     doubt=doubt[:, :count],
-                    hidden=hidden,
+                    hidden=hidden.spread,
                     weights=weights,
                 )
             )

@@ -337,7 +337,7 @@ class _Leader:
             return nearly, averaged
         nearly = self.unknowns.as_before(nearly, VIBRATING)
         fitted = [run.fitted for run in runs if run.part.train is not None]
-        robot, reach = self.unknowns.robot_at(nearly), self.unknowns.stiffness_reach
+        robot, reach = self.unknowns.robot_at(nearly), self.unknowns.stiffness_reach()
         factor = stiffness_factor(robot, fitted, reach) if reach else None
         if factor is None:
             nearly = self._search(prepare(averaged.robot, averaged.windows), nearly)

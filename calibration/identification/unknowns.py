@@ -120,10 +120,13 @@ class Coordinates:
         """Return coordinates (k,) with some fields as the robot file has them."""
         return np.where(self._are_of(fields), np.maximum(0.0, self.lower), coordinates)
 
-    @property
-    def stiffness_reach(self) -> float:
-        """Largest logarithm of a factor that the EA may have, three sigmas; 0 if it is held."""
-        sigmas = 3.0 * self.scale * self.prior.sigma
+    def stiffness_reach(self, sigma: Array | None = None) -> float:
+        """Return the largest logarithm of a factor that the EA may have; 0 if it is held.
+
+        Args:
+            sigma: Of coordinates (k,), three of which are that far; None: those of the prior.
+        """
+        sigmas = 3.0 * self.scale * (self.prior.sigma if sigma is None else sigma)
         return float(np.max(sigmas, where=self._are_of(["axial_stiffness"]), initial=0.0))
 
     def stiffened(self, coordinates: Array, factor: float) -> Array:

@@ -21,7 +21,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import Modes, natural_modes
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 0.03  # of the logarithm of the stiffness: less than a line is wide
+STEP = 0.01  # of the logarithm of the stiffness: a tenth of what a line is wide
 SWAYS = 3.0  # periods of the fastest sway in which vibrations are looked for
 DECAY_SHARE = 2.0 / 3.0  # of that time, in which they are taken to fall by a factor of e
 APART_RATIO_MIN = 1.25  # of a vibration to the fastest motion that goes for a sway
@@ -48,10 +48,10 @@ def stiffness_factor(robot: Robot, runs: Sequence[FittedRun], reach: float) -> f
     for k, log in enumerate(logs):
         other = replace(robot, axial_stiffness=np.exp(log) * robot.axial_stiffness)
         there = statics.forward_kinematics(other, lengths)
-        modes = natural_modes(other, there)
-        if there.converged.all() and modes.frequency[:, 6 - robot.n].min() > least:
+        if there.converged.all():
+            modes = natural_modes(other, there)
             power[k] = sum(
-                each.explained(modes, row, robot.n)
+                each.explained(modes, row, least)
                 for row, each in enumerate(fast) if each is not None
             )  # fmt: skip
     freedoms = 2.0 * robot.n * sum(each is not None for each in fast)
@@ -100,14 +100,16 @@ class _Fast:
             decay=DECAY_SHARE * span,
         )  # fmt: skip
 
-    def explained(self, modes: Modes, row: int, n: int) -> float:
-        """Return how much of the motion n modes at a place explain that stretch the cables."""
+    def explained(self, modes: Modes, row: int, least: float) -> float:
+        """Return how much of the motion modes at a place explain that are faster than the least."""
         columns = []
-        for mode in range(6 - n, 6):
+        for mode in np.flatnonzero(modes.frequency[row] > least):
             shape = modes.shape[row, :, mode] / self.scatter
             wave = np.exp((2j * np.pi * modes.frequency[row, mode] - 1.0 / self.decay) * self.time)
             for part in (wave.real, wave.imag):
                 ringing = part - self.basis @ (self.basis.T @ part)
                 columns.append(np.outer(ringing, shape).ravel())
+        if not columns:
+            return 0.0
         slopes, motion = np.array(columns).T, self.motion.ravel()
         return float(motion @ (slopes @ np.linalg.lstsq(slopes, motion, rcond=None)[0]))

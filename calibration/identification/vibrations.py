@@ -5,11 +5,12 @@ Averages leave nothing of such a vibration. Yet it shakes dry friction loose and
 on average, and the sway drifts by as much as poses tell of it: fits that knew nothing of it would
 find other dampings, and claim to know them.
 
-How strongly a platform vibrates, all of its poses together say better than single ones: the first
-that count are compared with those of simulated platforms whose cables start a little longer or
-shorter. Its phase would not outlast an error of a frequency, and the sway hardly asks for it:
-simulated platforms that vibrate as strongly, each in a way of its own, show how far the sway may
-drift. Their drifts are the columns of V in a further covariance V V^T of the errors.
+How a platform vibrates, all of its poses together say better than single ones: the first that count
+are compared with those of simulated platforms whose cables start a little longer or shorter. A
+regression tells how strongly, and from that, as of any coordinates of known variance, which start
+is likeliest and how far off it may be. Errors are corrected by the drift from the likeliest one.
+Platforms that start otherwise, each in a way of its own, show how far the sway may drift beside:
+their drifts are the columns of V in a further covariance V V^T of the errors.
 """
 
 from __future__ import annotations
@@ -61,15 +62,14 @@ class VibratingStarts:
         sway = replace(run.sway, stretch_sigma=sigma)
         return cls(run=replace(run, sway=sway), ways=np.sqrt(len(sigma)) * ways)
 
-    def points(self, at: Array, level: float) -> Array:
-        """Return coordinates of the run at a level of vibrations, (1 + 2 n, p + 2 n).
+    def points(self, at: Array, along: Array) -> Array:
+        """Return coordinates of the run, first without vibrations, (1 + W, p + 2 n).
 
         Args:
             at: Those without them, shape (p,).
-            level: Of prior sigmas.
+            along: How strongly the run starts in each of the ways, in rows, shape (W, 2 n).
         """
-        none = np.zeros((1, len(self.ways)))
-        vibrating = level * np.concatenate([none, self.ways])
+        vibrating = np.concatenate([np.zeros((1, len(self.ways))), along @ self.ways])
         return np.hstack([np.tile(at, (len(vibrating), 1)), vibrating])
 
     @property
@@ -78,8 +78,8 @@ class VibratingStarts:
         elongation, rate = np.split(self.ways, 2, axis=1)
         return SLACK / float(np.hypot(elongation, rate).max())
 
-    def level(self, errors: Array) -> float:
-        """Return the level from which poses come, by the power that vibrations explain.
+    def told(self, errors: Array) -> ToldVibrations:
+        """Return what poses tell of the vibrations from which they come.
 
         Of coordinates of variance L^2, a regression on the d = 2 n ways explains d + L^2 tr(A) / d
         in the mean, in variances of noise, where A is the information on coefficients of the ways.
@@ -88,27 +88,74 @@ class VibratingStarts:
         highest; vibrations that are seen may let cables hang loose for a moment.
 
         Args:
-            errors: At the level `PROBE`, as of `points`, of all poses, shape (1 + 2 n, K, 6).
+            errors: At the level `PROBE` of each way, as of `points`, of all poses, shape
+                (1 + 2 n, K, 6).
         """
         missed, freedoms = _fast(self.run, -errors[0])
         count = len(self.ways)
         if 6 * freedoms < FREEDOMS_MIN * count:
-            return self.highest
+            return ToldVibrations(
+                level=self.highest, information=np.zeros((count, count)), pull=np.zeros(count)
+            )
         slopes = _fast(self.run, errors[1:] - errors[0])[0].reshape(count, -1).T / PROBE
         left = missed
         for fitted in (0, count):  # vibrations that are seen are no noise
             power = (left.reshape(-1, 2, 3) ** 2).sum(axis=(0, 2))
             sides = np.sqrt(power / (3 * freedoms - 0.5 * fitted))  # of positions, rotations
             sigma = np.tile(np.repeat(sides, 3), len(missed))
-            best = np.linalg.lstsq(slopes / sigma[:, None], missed.ravel() / sigma, rcond=None)[0]
+            scaled, wanted = slopes / sigma[:, None], missed.ravel() / sigma
+            best = np.linalg.lstsq(scaled, wanted, rcond=None)[0]
             left = missed - (slopes @ best).reshape(missed.shape)
-        explained = float(((slopes @ best / sigma) ** 2).sum())
-        told = float(((slopes / sigma[:, None]) ** 2).sum()) / count
+        information = scaled.T @ scaled
+        explained, told = float(best @ information @ best), float(np.trace(information)) / count
         chance = float(np.sqrt(2.0 * count))
         strength = max(explained - count, chance)
         level = float(np.sqrt(strength / max(told, TINY)))
         seen = strength > SEEN_SIGMAS * chance and level < 2.0 * SLACK
-        return min(level, SLACK if seen else self.highest)
+        return ToldVibrations(
+            level=min(level, SLACK if seen else self.highest), information=information,
+            pull=scaled.T @ wanted,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToldVibrations:
+    """What the poses of a run tell of how strongly it starts in each of d ways to vibrate.
+
+    Attributes:
+        level: Sigma of each of these coefficients before.
+        information: On them, shape (d, d).
+        pull: Information times their estimate from poses alone, shape (d,).
+    """
+
+    level: float
+    information: Array
+    pull: Array
+
+    def likely(self) -> Array:
+        """Return the likeliest coefficients, then others as far off as they may be, (1 + d, d)."""
+        covariance = np.linalg.inv(self.information + np.eye(len(self.pull)) / self.level**2)
+        best = covariance @ self.pull
+        off = np.sqrt(len(best)) * np.linalg.cholesky(0.5 * (covariance + covariance.T)).T
+        return np.concatenate([best[None], best + off])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenVibrations:
+    """What vibrations that noise hides change of the errors of a run.
+
+    Attributes:
+        drift: Of errors, by the likeliest vibrations, shape (K, 6).
+        spread: How far off that may be, each column by one sigma, shape (6 K, d).
+    """
+
+    drift: Array
+    spread: Array
+
+    @classmethod
+    def none(cls, errors: Array) -> HiddenVibrations:
+        """Return those of a run with errors (K, 6) that nothing hidden changes."""
+        return cls(drift=np.zeros_like(errors), spread=np.zeros((errors.size, 0)))
 
 
 def hidden_vibrations(
@@ -118,8 +165,8 @@ def hidden_vibrations(
     at: Sequence[Array],
     robot: Robot,
     time_step: float,
-) -> list[Array]:
-    """Return what hidden vibrations change of the errors of runs, each column by one sigma.
+) -> list[HiddenVibrations]:
+    """Return what hidden vibrations change of the errors of runs.
 
     Args:
         simulator: Of the robot.
@@ -129,43 +176,41 @@ def hidden_vibrations(
         robot: At these coordinates.
         time_step: Of a sway, at most [s].
 
-    Returns:
-        Of each run, shape (6 K, 2 n).
-
     Raises:
         CarosacError: A platform has no finite motion, as little as it vibrates.
     """
     rng = np.random.default_rng(SEED)
     starts = [VibratingStarts.of(run, robot, rng) for run in runs]
 
-    def errors_at(levels: Sequence[float]) -> tuple[list[Array], list[NDArray[np.bool_]]]:
-        points = [
-            start.points(own, level) for start, own, level in zip(starts, at, levels, strict=True)
-        ]
-        every = [start.run for start in starts]
+    every = [start.run for start in starts]
+
+    def errors_at(along: Sequence[Array]) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        points = [start.points(*each) for start, *each in zip(starts, at, along, strict=True)]
         return simulator.pose_errors(every, points, time_step, refined=REFINED)
 
-    probed, sound = errors_at([PROBE] * len(runs))
+    probed, sound = errors_at([PROBE * np.eye(len(start.ways)) for start in starts])
     if not all(each.all() for each in sound):
         raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
-    levels = [start.level(errors) for start, errors in zip(starts, probed, strict=True)]
+    told = [start.told(errors) for start, errors in zip(starts, probed, strict=True)]
     for _ in range(HALVINGS_MAX):
-        vibrating, sound = errors_at(levels)
+        vibrating, sound = errors_at([each.likely() for each in told])
         lost = [not each.all() for each in sound]
         if not any(lost):
             break
-        levels = [
-            max(PROBE, level / 2.0) if half else level
-            for level, half in zip(levels, lost, strict=True)
+        told = [
+            replace(each, level=max(PROBE, each.level / 2.0)) if half else each
+            for each, half in zip(told, lost, strict=True)
         ]
     else:
         raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
-    drifts = []
+    hidden = []
     for run, part, errors in zip(runs, counted, vibrating, strict=True):
         rows = np.isin(run.poses.time, part.poses.time)
-        calm, *others = [part.seen(each[rows]).ravel() for each in errors]
-        drifts.append((np.array(others) - calm).T / np.sqrt(len(others)))
-    return drifts
+        calm, best, *others = [part.seen(each[rows]) for each in errors]
+        off = np.array(others) - best
+        spread = off.reshape(len(off), -1).T / np.sqrt(len(off))
+        hidden.append(HiddenVibrations(drift=best - calm, spread=spread))
+    return hidden
 
 
 def _fast(run: FittedRun, errors: Array) -> tuple[Array, int]:

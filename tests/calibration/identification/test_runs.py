@@ -44,6 +44,7 @@ from calibration.identification.synthetic_oscillations import (
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
+from calibration.identification.vibrations import HiddenVibrations
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
@@ -208,7 +209,7 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(errors, exact, noise)
-    hidden = [np.zeros((each[:, :, 0].size, 0)) for each in rough]
+    hidden = [HiddenVibrations.none(each[:, :, 0]) for each in rough]
     wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough, hidden=hidden)
     return fitter, at, errors, noise, wide, information
 
@@ -223,7 +224,7 @@ def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near,
     assert first.is_stale(at, hessian, fitter._count) is False and first.rough_axes
     monkeypatch.setattr(fitter, "_wide", wide)
     taken = fitter._taken_wide(at, hessian)
-    assert not taken.rough_axes and taken.hidden[0].shape[1]
+    assert not taken.rough_axes and taken.hidden[0].spread.size
     again, _ = fitter._normal(errors, taken.exact, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     own = np.arange(len(at)) != fitter._mass

@@ -249,4 +249,4 @@ def test_cables_are_stiffened_by_a_factor(unknowns):
     at = np.zeros(len(unknowns.prior.names))
     stiff = unknowns.robot_at(unknowns.stiffened(at, 1.7))
     assert stiff.axial_stiffness == pytest.approx(1.7 * unknowns.robot.axial_stiffness)
-    assert unknowns.stiffness_reach == pytest.approx(3.0 * np.log(2.0), rel=0.02)
+    assert unknowns.stiffness_reach() == pytest.approx(3.0 * np.log(2.0), rel=0.02)
