@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -31,7 +32,7 @@ from calibration.identification.spread import (
     symmetric_draws,
 )
 from calibration.identification.unknowns import Coordinates
-from calibration.identification.vibration_scan import stiffness_factor
+from calibration.identification.vibration_scan import as_vibrating
 from calibration.identification.vibrations import HiddenVibrations, hidden_vibrations
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
@@ -76,8 +77,8 @@ FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may lea
 # Of a typical run's cost: one that costs more starts anew once a search has led near. Chance alone
 # leads to 1.5.
 LOST_COST_RATIO = 2.0
-# Growths of the first guess of a start from which one is sought: friction takes away what a mode
-# swung by before its first pose.
+# Growths of the first guess of a start from which one is sought, and the best is taken: friction
+# takes away what a mode swung by before its first pose. 2.5 leads where 1.5 does.
 GUESS_GROWTHS = (1.0, 1.5)
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
@@ -175,7 +176,7 @@ class Fitter:
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
-        self._rest: list[Array] = []  # what they and hidden vibrations make errors wrong by
+        self._rest: list[Array] = []  # correction of errors (K, 6) by these and hidden vibrations
         self._rest_at = self._first  # where that was found
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -371,10 +372,15 @@ class Fitter:
     def _linear_at(
         self, at: Array, errors: list[Array], *, coarse: bool, hessian: Array | None
     ) -> tuple[list[Array], list[Array]]:
-        """Return errors and derivatives; where these are taken anew, so are hidden vibrations."""
-        wide = self._wide
+        """Return errors (K, 6) and derivatives (K, 6, p) of each run; as of `_jacobians`.
+
+        With derivatives over some sigmas, hidden vibrations are found anew, and change the errors.
+        """
+        before = self._wide
         jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
-        return (errors if self._wide is wide else self._errors_at(at)), jacobians
+        if self._wide is before or self._leads_roughly:
+            return errors, jacobians
+        return self._errors_at(at), jacobians
 
     @property
     def _leads_roughly(self) -> bool:
@@ -523,7 +529,8 @@ class Fitter:
     def _trials(self, points: Array) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """Return errors as `_simulated`, near to where `_errors_at` looked last.
 
-        What they miss by their time steps changes along a step as the derivatives say.
+        Hidden vibrations correct them as there. What they miss by their time steps changes along a
+        step as the derivatives say.
 
         Args:
             points: Of all runs, shape (B, all coordinates).
@@ -669,27 +676,26 @@ class Fitter:
     ) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change, as `hidden_vibrations`.
 
-        A sway knows the stiffness less well than would keep vibrations in step.
+        Cables are as stiff there, and damp as much, as vibrations of all runs say, within what the
+        sway leaves open.
 
         Args:
-            at: All coordinates.
-            hessian: Of the cost, about.
-            none: Of each run, what stands for one whose start has vibrations as unknowns.
+            at: All coordinates, shape (p,).
+            hessian: Of the cost, about, shape (p, p).
+            none: What stands for a run that is left out, or whose start has vibrations as unknowns.
         """
         hidden = list(none)
-        which = [k for k, run in enumerate(self._runs) if not len(run.sway.stretch_sigma)]
-        unknowns, robot = self._unknowns, at[: self._count]
-        reach = unknowns.stiffness_reach(np.sqrt(np.diag(np.linalg.inv(hessian)))[: self._count])
+        which = [k for k in self._kept if not len(self._runs[k].sway.stretch_sigma)]
         runs = [self._whole[k] for k in which]
-        if reach and runs:
-            factor = stiffness_factor(unknowns.robot_at(robot), runs, reach)
-            robot = robot if factor is None else unknowns.stiffened(robot, factor)
+        robot, sigma = at[: self._count], np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
+        cables = as_vibrating(self._unknowns, runs, robot, sigma)
+        robot = robot if cables is None else cables
         found = hidden_vibrations(
             self._simulator,
             runs,
             [self._runs[k] for k in which],
             [np.concatenate([robot, at[self._own[k][self._count :]]]) for k in which],
-            unknowns.robot_at(robot),
+            self._unknowns.robot_at(robot),
             self._time_step,
         )
         for k, each in zip(which, found, strict=True):
@@ -918,34 +924,39 @@ class Fitter:
     def _started(self, at: Array, shares: Sequence[float] = POSE_SHARES[:1]) -> Array:
         """Return where a search begins; each run that starts before its poses does as suits it.
 
-        The first guess of such a start is rough: the first poses mend it, before all is searched.
-        Beside a robot that is nearly found, more of them do.
+        The first guess of such a start is rough: the first poses mend it, and one that swings
+        further, before all is searched. Beside a robot that is nearly found, more of them do.
         """
         if not self._sways:
             return at
         whole = self._runs
-        ways = [np.concatenate([at[: self._count], g * at[self._count :]]) for g in GUESS_GROWTHS]
+        robot, starts = np.split(at, [self._count])
+        guesses = [np.concatenate([robot, growth * starts]) for growth in GUESS_GROWTHS]
         for share in shares:
             self._runs = tuple(run.first(share) for run in whole)
-            at = self._likeliest([self._suited(way) for way in ways])
-            ways = [at]
+            ends = [self._suited(guesses[0])]
+            for further in guesses[1:]:
+                with suppress(CarosacError):  # one that swings so far may have no finite motion
+                    ends.append(self._suited(further))
+            at = self._likeliest(ends)
+            guesses = [at]
         self._runs = whole
         return at
 
-    def _likeliest(self, ways: Sequence[Array]) -> Array:
-        """Return all coordinates, with the start of each run that suits it best of some ways."""
-        best = ways[0].copy()
-        if len(ways) == 1:
+    def _likeliest(self, ends: Sequence[Array]) -> Array:
+        """Return all coordinates, with that start of each run which suits it best of some."""
+        best = ends[0].copy()
+        if len(ends) == 1:
             return best
-        errors = [self._errors_at(way) for way in ways]
+        errors = [self._errors_at(end) for end in ends]
         noise = self._noise(errors[0])
         for k, rows in enumerate(self._own):
             own = rows[self._count :]
             costs = [
-                self._cost_of(k, each[k], noise) + float(way[own] @ way[own])
-                for way, each in zip(ways, errors, strict=True)
+                self._cost_of(k, each[k], noise) + float(end[own] @ end[own])
+                for end, each in zip(ends, errors, strict=True)
             ]
-            best[own] = ways[int(np.argmin(costs))][own]
+            best[own] = ends[int(np.argmin(costs))][own]
         return best
 
     def _suited(self, at: Array) -> Array:

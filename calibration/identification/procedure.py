@@ -44,7 +44,7 @@ from calibration.identification.runs import (
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import Coordinates, choose_coordinates, group_of
-from calibration.identification.vibration_scan import stiffness_factor
+from calibration.identification.vibration_scan import as_vibrating
 from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -71,7 +71,8 @@ BODY_TURN_SIGMAS = 1.5  # of its spread over the samples
 POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
-# What the phase of vibrations seems to tell: a search that follows them may end at wrong values.
+# What the phase of vibrations seems to tell: a search that follows them may end at a wrong value.
+# Their damping does not hang on phases, and recordings are followed better with it.
 VIBRATING = ("axial_stiffness",)
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
@@ -325,7 +326,7 @@ class _Leader:
         """Return coordinates (k,) near to the robot, and how errors are to be averaged.
 
         A first search follows vibrations, and finds the sway. What vibrations tell of the cables is
-        found from their frequencies, and if they are not seen, from averages.
+        found from their frequencies and decay, and if they are not seen, from averages.
 
         Args:
             runs: Prepared without averages.
@@ -337,12 +338,11 @@ class _Leader:
             return nearly, averaged
         nearly = self.unknowns.as_before(nearly, VIBRATING)
         fitted = [run.fitted for run in runs if run.part.train is not None]
-        robot, reach = self.unknowns.robot_at(nearly), self.unknowns.stiffness_reach()
-        factor = stiffness_factor(robot, fitted, reach) if reach else None
-        if factor is None:
+        cables = as_vibrating(self.unknowns, fitted, nearly, self.unknowns.prior.sigma)
+        if cables is None:
             nearly = self._search(prepare(averaged.robot, averaged.windows), nearly)
         else:
-            nearly = self.unknowns.stiffened(nearly, factor)
+            nearly = cables
         return nearly, self._averaged(nearly)
 
     def _search(self, runs: Sequence[_Run], begin: Array | None = None) -> Array:

@@ -11,7 +11,7 @@ from calibration.identification.spread import STALE_SIGMAS
 from calibration.identification.vibrations import HiddenVibrations
 from carosac_toolkit.base.arrays import Array
 
-DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
+DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with and after a step that fails
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

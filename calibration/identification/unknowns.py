@@ -120,19 +120,20 @@ class Coordinates:
         """Return coordinates (k,) with some fields as the robot file has them."""
         return np.where(self._are_of(fields), np.maximum(0.0, self.lower), coordinates)
 
-    def stiffness_reach(self, sigma: Array | None = None) -> float:
-        """Return the largest logarithm of a factor that the EA may have; 0 if it is held.
+    def log_sigma(self, field: str, sigma: Array | None = None) -> float:
+        """Return the sigma of the logarithm of a factor of some field; 0 if it is held.
 
         Args:
-            sigma: Of coordinates (k,), three of which are that far; None: those of the prior.
+            field: Of which coordinates are logarithms of factors, as "axial_stiffness".
+            sigma: Of coordinates (k,); None: those of the prior.
         """
-        sigmas = 3.0 * self.scale * (self.prior.sigma if sigma is None else sigma)
-        return float(np.max(sigmas, where=self._are_of(["axial_stiffness"]), initial=0.0))
+        sigmas = self.scale * (self.prior.sigma if sigma is None else sigma)
+        return float(np.max(sigmas, where=self._are_of([field]), initial=0.0))
 
-    def stiffened(self, coordinates: Array, factor: float) -> Array:
-        """Return coordinates (k,) with cables whose EA is another by a factor."""
+    def multiplied(self, coordinates: Array, field: str, factor: float) -> Array:
+        """Return coordinates (k,) where some field is another by a factor."""
         change = np.log(factor) / self.scale
-        return np.where(self._are_of(["axial_stiffness"]), coordinates + change, coordinates)
+        return np.where(self._are_of([field]), coordinates + change, coordinates)
 
     def moved(self, at: Array, step: Array) -> Array:
         """Return coordinates after a step to first order, shape (k,).

@@ -8,9 +8,9 @@ find other dampings, and claim to know them.
 How a platform vibrates, all of its poses together say better than single ones: the first that count
 are compared with those of simulated platforms whose cables start a little longer or shorter. A
 regression tells how strongly, and from that, as of any coordinates of known variance, which start
-is likeliest and how far off it may be. Errors are corrected by the drift from the likeliest one.
-Platforms that start otherwise, each in a way of its own, show how far the sway may drift beside:
-their drifts are the columns of V in a further covariance V V^T of the errors.
+is likeliest and how far off it may be. Simulated platforms that start about it to both sides show
+how far the sway drifts: errors are corrected by their mean drift, and what they scatter about it is
+V in a further covariance V V^T of the errors.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.run_simulator import RunSimulator
@@ -35,8 +34,9 @@ SLACK = 0.5  # elongations at which a cable hangs loose in between
 SEEN_WINDOWS = 2.0  # in which vibrations are looked for: for longer, phases are lost
 SEEN_SIGMAS = 3.0  # of the power that noise explains: more are vibrations for sure
 FREEDOMS_MIN = 4.0  # of poses that tell a level, for each way to vibrate
+CONFIRMED_SHARE = 0.5  # of the power that a regression explains, which simulated ones do too
 REFINED = 2  # steps that those of a sway are divided into, for what vibrates
-HALVINGS_MAX = 3  # of a level at which a platform has no finite motion
+HALVINGS_MAX = 3  # of vibrations with which a platform has no finite motion
 TINY = 1e-12  # instead of no information
 SEED = 0
 
@@ -78,7 +78,7 @@ class VibratingStarts:
         elongation, rate = np.split(self.ways, 2, axis=1)
         return SLACK / float(np.hypot(elongation, rate).max())
 
-    def told(self, errors: Array) -> ToldVibrations:
+    def posterior(self, errors: Array) -> VibrationPosterior:
         """Return what poses tell of the vibrations from which they come.
 
         Of coordinates of variance L^2, a regression on the d = 2 n ways explains d + L^2 tr(A) / d
@@ -94,9 +94,10 @@ class VibratingStarts:
         missed, freedoms = _fast(self.run, -errors[0])
         count = len(self.ways)
         if 6 * freedoms < FREEDOMS_MIN * count:
-            return ToldVibrations(
-                level=self.highest, information=np.zeros((count, count)), pull=np.zeros(count)
-            )
+            return VibrationPosterior(
+                level=self.highest, information=np.zeros((count, count)), pull=np.zeros(count),
+                scatter=np.ones(6),
+            )  # fmt: skip
         slopes = _fast(self.run, errors[1:] - errors[0])[0].reshape(count, -1).T / PROBE
         left = missed
         for fitted in (0, count):  # vibrations that are seen are no noise
@@ -112,32 +113,60 @@ class VibratingStarts:
         strength = max(explained - count, chance)
         level = float(np.sqrt(strength / max(told, TINY)))
         seen = strength > SEEN_SIGMAS * chance and level < 2.0 * SLACK
-        return ToldVibrations(
+        return VibrationPosterior(
             level=min(level, SLACK if seen else self.highest), information=information,
-            pull=scaled.T @ wanted,
+            pull=scaled.T @ wanted, scatter=np.repeat(sides, 3),
         )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ToldVibrations:
+class VibrationPosterior:
     """What the poses of a run tell of how strongly it starts in each of d ways to vibrate.
 
     Attributes:
-        level: Sigma of each of these coefficients before.
-        information: On them, shape (d, d).
+        level: Sigma before of each coordinate of the start; of the coefficients of the d ways it is
+            this over the root of d.
+        information: On the coefficients, shape (d, d).
         pull: Information times their estimate from poses alone, shape (d,).
+        scatter: Of positions [m] and rotations [rad] beside them, shape (6,).
     """
 
     level: float
     information: Array
     pull: Array
+    scatter: Array
 
-    def likely(self) -> Array:
-        """Return the likeliest coefficients, then others as far off as they may be, (1 + d, d)."""
-        covariance = np.linalg.inv(self.information + np.eye(len(self.pull)) / self.level**2)
-        best = covariance @ self.pull
-        off = np.sqrt(len(best)) * np.linalg.cholesky(0.5 * (covariance + covariance.T)).T
-        return np.concatenate([best[None], best + off])
+    def sigma_points(self) -> Array:
+        """Return the likeliest coefficients, and others to both sides that scatter as they may.
+
+        Shape (1 + 2 d, d); the covariance of the others about the likeliest is the posterior one.
+        """
+        count = len(self.pull)
+        precision = self.information + count / self.level**2 * np.eye(count)
+        root = np.linalg.inv(np.linalg.cholesky(precision))  # root^T root is the covariance
+        best, off = root.T @ (root @ self.pull), np.sqrt(count) * root
+        return np.concatenate([best[None], best + off, best - off])
+
+    def is_confirmed(self, run: FittedRun, errors: Array) -> bool:
+        """Say whether simulated vibrations explain of the poses what a regression promised.
+
+        Far from linear, where cables go slack or a phase hangs on the amplitude, they do not.
+
+        Args:
+            run: With all poses.
+            errors: Of a calm start, of the likeliest one, and of others, shape (2 + W, K, 6).
+        """
+        best = self.sigma_points()[0]
+        promised = float((2.0 * self.pull - self.information @ best) @ best)
+        calm, likeliest = (
+            float(((_fast(run, each)[0] / self.scatter) ** 2).sum()) for each in errors[:2]
+        )
+        return calm - likeliest >= CONFIRMED_SHARE * promised
+
+    @property
+    def forgotten(self) -> VibrationPosterior:
+        """The same where poses tell the level alone."""
+        return replace(self, information=0.0 * self.information, pull=0.0 * self.pull)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,8 +174,9 @@ class HiddenVibrations:
     """What vibrations that noise hides change of the errors of a run.
 
     Attributes:
-        drift: Of errors, by the likeliest vibrations, shape (K, 6).
-        spread: How far off that may be, each column by one sigma, shape (6 K, d).
+        drift: Of errors, the mean over what vibrations may be, shape (K, 6). Errors are corrected
+            by it.
+        spread: How far off that may be, columns whose covariances add up, shape (6 K, 2 d).
     """
 
     drift: Array
@@ -184,32 +214,42 @@ def hidden_vibrations(
 
     every = [start.run for start in starts]
 
-    def errors_at(along: Sequence[Array]) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+    def errors_at(along: Sequence[Array]) -> tuple[list[Array], list[bool]]:
         points = [start.points(*each) for start, *each in zip(starts, at, along, strict=True)]
-        return simulator.pose_errors(every, points, time_step, refined=REFINED)
+        errors, sound = simulator.pose_errors(every, points, time_step, refined=REFINED)
+        return errors, [bool(each.all()) for each in sound]
 
     probed, sound = errors_at([PROBE * np.eye(len(start.ways)) for start in starts])
-    if not all(each.all() for each in sound):
+    if not all(sound):
         raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
-    told = [start.told(errors) for start, errors in zip(starts, probed, strict=True)]
-    for _ in range(HALVINGS_MAX):
-        vibrating, sound = errors_at([each.likely() for each in told])
-        lost = [not each.all() for each in sound]
-        if not any(lost):
-            break
-        told = [
-            replace(each, level=max(PROBE, each.level / 2.0)) if half else each
-            for each, half in zip(told, lost, strict=True)
+    posteriors = [start.posterior(errors) for start, errors in zip(starts, probed, strict=True)]
+    points = [each.sigma_points() for each in posteriors]
+    vibrating, sound = errors_at(points)
+    kept = [
+        fine and each.is_confirmed(run, errors)
+        for each, run, errors, fine in zip(posteriors, every, vibrating, sound, strict=True)
+    ]
+    if not all(kept):  # so far from linear poses tell no more than a level
+        points = [
+            along if likely else each.forgotten.sigma_points()
+            for each, along, likely in zip(posteriors, points, kept, strict=True)
         ]
-    else:
+        vibrating, sound = errors_at(points)
+    for _ in range(HALVINGS_MAX):
+        if all(sound):
+            break
+        points = [along if fine else 0.5 * along for along, fine in zip(points, sound, strict=True)]
+        vibrating, sound = errors_at(points)
+    if not all(sound):
         raise CarosacError("identification: no finite motion of the robot on cables that vibrate")
     hidden = []
     for run, part, errors in zip(runs, counted, vibrating, strict=True):
         rows = np.isin(run.poses.time, part.poses.time)
-        calm, best, *others = [part.seen(each[rows]) for each in errors]
-        off = np.array(others) - best
+        calm, _, *others = [part.seen(each[rows]) for each in errors]
+        likely = np.mean(others, axis=0)
+        off = np.array(others) - likely
         spread = off.reshape(len(off), -1).T / np.sqrt(len(off))
-        hidden.append(HiddenVibrations(drift=best - calm, spread=spread))
+        hidden.append(HiddenVibrations(drift=likely - calm, spread=spread))
     return hidden
 
 

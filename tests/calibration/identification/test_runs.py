@@ -256,6 +256,32 @@ def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
     assert missed() < 0.1 * without
 
 
+def test_hidden_vibrations_correct_errors_and_trials_once(near, monkeypatch):
+    fitter, at, _, _, wide, _ = near
+    monkeypatch.setattr(fitter, "_wide", wide)
+    without, (plain, _) = fitter._errors_at(at), fitter._trials(at[None])
+    for size in (1e-3, 2e-3):  # found anew, a drift is another and not added
+        hidden = [
+            replace(none, drift=np.full_like(each, size))
+            for none, each in zip(wide.hidden, without, strict=True)
+        ]
+        monkeypatch.setattr(fitter, "_wide", replace(wide, hidden=hidden))
+        found, (trials, _) = fitter._errors_at(at), fitter._trials(at[None])
+        for old, new, tried, trial in zip(without, found, plain, trials, strict=True):
+            assert new - old == pytest.approx(size) and trial - tried == pytest.approx(size)
+
+
+def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
+    fitter, at, *_ = near
+    own = [rows[fitter._count :] for rows in fitter._own]
+    ends = [at.copy(), at.copy()]
+    for k, rows in enumerate(own):
+        ends[k % 2][rows] += 0.5  # off by centimetres
+    found = fitter._likeliest(ends)
+    for k, rows in enumerate(own):
+        assert (found[rows] == ends[1 - k % 2][rows]).all()
+
+
 def test_moves_of_some_sigmas_lead_to_robots(near):
     """Also next to a bound, where a move ends on it, to both sides if there is room for it."""
     fitter, at, _, _, _, information = near

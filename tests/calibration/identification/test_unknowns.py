@@ -247,6 +247,6 @@ def test_some_fields_are_again_as_the_file_has_them(unknowns):
 
 def test_cables_are_stiffened_by_a_factor(unknowns):
     at = np.zeros(len(unknowns.prior.names))
-    stiff = unknowns.robot_at(unknowns.stiffened(at, 1.7))
+    stiff = unknowns.robot_at(unknowns.multiplied(at, "axial_stiffness", 1.7))
     assert stiff.axial_stiffness == pytest.approx(1.7 * unknowns.robot.axial_stiffness)
-    assert unknowns.stiffness_reach() == pytest.approx(3.0 * np.log(2.0), rel=0.02)
+    assert unknowns.log_sigma("axial_stiffness") == pytest.approx(np.log(2.0), rel=0.02)
