@@ -176,7 +176,7 @@ class Fitter:
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
-        self._rest: list[Array] = []  # correction of errors (K, 6) by these and hidden vibrations
+        self._rest: list[Array] = []  # what corrects errors (K, 6): time steps, hidden vibrations
         self._rest_at = self._first  # where that was found
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -485,7 +485,7 @@ class Fitter:
     def _errors_at(self, at: Array) -> list[Array]:
         """Return the errors of each run (K, 6), of vanishing time steps where `_exact`.
 
-        Vibrations that noise hides are taken into account as soon as they were looked for.
+        The drift by vibrations that noise hides corrects them once it was found.
 
         Many recordings tell frequencies better than time steps that are short enough for a motion.
         What these are wrong by falls with their square (Richardson). Nearby it is nearly the same.
@@ -676,8 +676,8 @@ class Fitter:
     ) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change, as `hidden_vibrations`.
 
-        Cables are as stiff there, and damp as much, as vibrations of all runs say, within what the
-        sway leaves open.
+        The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show,
+        within three sigmas of what the sway tells.
 
         Args:
             at: All coordinates, shape (p,).

@@ -72,7 +72,7 @@ POINT_SHIFT_MIN = Scaled(0.02, "m", most=0.02)
 POINT_SHIFT_SIGMAS = 1.5  # of its spread over the samples
 APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tell it
 # What the phase of vibrations seems to tell: a search that follows them may end at a wrong value.
-# Their damping does not hang on phases, and recordings are followed better with it.
+# How fast they die out does not depend on their phase, so their damping is kept.
 VIBRATING = ("axial_stiffness",)
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
 NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed

@@ -30,14 +30,14 @@ SWAYS = 3.0  # periods of the fastest sway in which vibrations are looked for
 DECAY_SHARE = 2.0 / 3.0
 DAMPING_STEP = 0.1  # the same of the damping
 CABLE_FIELDS = ("axial_stiffness", "axial_damping")
-REACH_SIGMAS = 3.0  # of what is known before, as far as which both are sought
+REACH_SIGMAS = 3.0  # of what is known before, within which both are sought
 APART_RATIO_MIN = 1.25  # of a vibration to the fastest motion that goes for a sway
 CHANCE_SIGMAS = 5.0  # of the power that noise explains, beyond which vibrations are seen
 
 
 @dataclass(frozen=True, kw_only=True)
 class CableFactors:
-    """How much stiffer cables are, and how much more they damp."""
+    """Factors by which the stiffness and the axial damping of cables are higher than in a robot."""
 
     stiffness: float
     damping: float
@@ -46,11 +46,11 @@ class CableFactors:
 def as_vibrating(
     unknowns: Coordinates, runs: Sequence[FittedRun], at: Array, sigma: Array
 ) -> Array | None:
-    """Return coordinates (k,) of a robot with cables as vibrations show them; None: none are seen.
+    """Return coordinates (k,) with the cables that vibrations show; None: none are seen.
 
     Args:
         unknowns: Of a robot.
-        runs: Recordings; none show nothing.
+        runs: Recordings; there may be none.
         at: Nearly those of the robot, but for its cables, shape (k,).
         sigma: How far off these may be, shape (k,).
     """
@@ -68,7 +68,7 @@ def as_vibrating(
 def cable_factors(
     robot: Robot, runs: Sequence[FittedRun], stiffness_sigma: float, damping_sigma: float
 ) -> CableFactors | None:
-    """Return what cables are by the vibrations of a platform; None: none are seen.
+    """Return how stiff cables are, and how they damp, by vibrations; None: none are seen.
 
     Args:
         robot: Nearly the one that moved, but for its cables; n < 6 of them.

@@ -34,7 +34,8 @@ SLACK = 0.5  # elongations at which a cable hangs loose in between
 SEEN_WINDOWS = 2.0  # in which vibrations are looked for: for longer, phases are lost
 SEEN_SIGMAS = 3.0  # of the power that noise explains: more are vibrations for sure
 FREEDOMS_MIN = 4.0  # of poses that tell a level, for each way to vibrate
-CONFIRMED_SHARE = 0.5  # of the power that a regression explains, which simulated ones do too
+# Of the power that a regression explains: less of it in the simulation, and it is not believed.
+CONFIRMED_SHARE = 0.5
 REFINED = 2  # steps that those of a sway are divided into, for what vibrates
 HALVINGS_MAX = 3  # of vibrations with which a platform has no finite motion
 TINY = 1e-12  # instead of no information
@@ -150,7 +151,7 @@ class VibrationPosterior:
     def is_confirmed(self, run: FittedRun, errors: Array) -> bool:
         """Say whether simulated vibrations explain of the poses what a regression promised.
 
-        Far from linear, where cables go slack or a phase hangs on the amplitude, they do not.
+        They do not far from linear, where cables go slack or phases depend on the amplitude.
 
         Args:
             run: With all poses.
@@ -176,7 +177,8 @@ class HiddenVibrations:
     Attributes:
         drift: Of errors, the mean over what vibrations may be, shape (K, 6). Errors are corrected
             by it.
-        spread: How far off that may be, columns whose covariances add up, shape (6 K, 2 d).
+        spread: V in the covariance V V^T of what that may be wrong by, shape (6 K, 2 d); (6 K, 0)
+            where nothing is hidden.
     """
 
     drift: Array
