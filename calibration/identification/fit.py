@@ -22,7 +22,14 @@ from calibration.identification.frequencies import FrequencyTable, KnownFrequenc
 from calibration.identification.quadratic import Quadratic
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
-from calibration.identification.search_state import DAMPING_START, Near, Search, Step, Wide
+from calibration.identification.search_state import (
+    DAMPING_START,
+    Correction,
+    Near,
+    Search,
+    Step,
+    Wide,
+)
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.spread import (
     STALE_SIGMAS,
@@ -176,8 +183,7 @@ class Fitter:
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
         self._doubts: Doubts | None = None  # by how much these may be wrong
-        self._rest: list[Array] = []  # what corrects errors (K, 6): time steps, hidden vibrations
-        self._rest_at = self._first  # where that was found
+        self._correction = Correction(at=self._first, errors=[])  # as found last
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
         self._searched[: self._count] = robot_at is None
@@ -231,9 +237,9 @@ class Fitter:
         at = state.at
         left_out = [k for k, followed in enumerate(self._followed) if not followed]
         noise = self._noise(state.errors)
+        self._known = self._known_about(at)
         if self._wide is not None:
             self._doubts = self._doubted(self._wide, state.errors, state.jacobians, noise)
-        self._known = self._known_about(at)
         information, _ = self._normal(state.errors, state.jacobians, noise)
         inverse = np.asarray(np.linalg.inv(information + self._precision), float)
         excess = self._excess(state, noise, information, inverse)
@@ -339,9 +345,9 @@ class Fitter:
                 noise = self._noise(errors)
             poses = sum(len(run.poses.time) for run in self._runs)
             report(poses, *_rms(np.concatenate(errors)))
+            self._known = self._known_about(at)
             if self._wide is not None:
                 self._doubts = self._doubted(self._wide, errors, jacobians, noise)
-            self._known = self._known_about(at)
             information, gradient = self._normal(errors, jacobians, noise)
             hessian, gradient = information + self._precision, gradient + self._known.gradient
             rough = coarse and self._sways and steps is None
@@ -383,6 +389,11 @@ class Fitter:
         return self._errors_at(at), jacobians
 
     @property
+    def _starts_follow(self) -> bool:
+        """True where steps of the robot are judged once the starts of many runs have followed."""
+        return self._many and bool(self._searched[: self._count].any())
+
+    @property
     def _leads_roughly(self) -> bool:
         """True where derivatives over some sigmas are along rough axes: they lead one step."""
         return self._wide is not None and self._wide.rough_axes
@@ -412,6 +423,8 @@ class Fitter:
                 parts = np.add.reduceat(scores, np.arange(0, len(scores), length), axis=0)
             whole = np.zeros((len(parts), len(information)))
             whole[:, own] = parts
+            if self._many:  # what is known of a start pulls at it too
+                whole[:, own[self._count :]] += state.at[own[self._count :]]
             sums.append(whole)
         stretches = np.concatenate(sums)
         fitted = float(np.trace(inverse @ information))  # parameters that the data tell
@@ -492,21 +505,21 @@ class Fitter:
         """
         points = [at[None]] * len(self._runs)
         errors, good = self._simulated(points)
-        self._rest, self._rest_at = [np.zeros(6)] * len(errors), at
+        more = [np.zeros(6)] * len(errors)
         if self._exact:
             fine, sound = self._simulated(points, refined=2)
             good = [one & other for one, other in zip(good, sound, strict=True)]
-            self._rest = [
+            more = [
                 4.0 / 3.0 * (best[0] - each[0]) for best, each in zip(fine, errors, strict=True)
             ]
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of the robot")
         if self._wide is not None:
-            self._rest = [
-                rest + hidden.drift
-                for rest, hidden in zip(self._rest, self._wide.hidden, strict=True)
+            more = [
+                each + hidden.drift for each, hidden in zip(more, self._wide.hidden, strict=True)
             ]
-        return [each[0] + more for each, more in zip(errors, self._rest, strict=True)]
+        self._correction = Correction(at=at, errors=more)
+        return [each[0] + beyond for each, beyond in zip(errors, more, strict=True)]
 
     def _leave_out(self, at: Array, errors: Sequence[Array]) -> None:
         """Leave out the runs that no time step follows.
@@ -536,15 +549,16 @@ class Fitter:
             points: Of all runs, shape (B, all coordinates).
         """
         errors, good = self._simulated([points] * len(self._runs))
-        trials = [each + more for each, more in zip(errors, self._rest, strict=True)]
-        changes = self._rest_slopes()
+        there = self._correction
+        trials = [each + more for each, more in zip(errors, there.errors, strict=True)]
+        changes = self._correction_slopes()
         if changes is not None:
-            moves = points - self._rest_at
+            moves = points - there.at
             for each, own, change in zip(trials, self._own, changes, strict=True):
                 each += np.einsum("nci,bi->bnc", change, moves[:, own])
         return trials, good
 
-    def _rest_slopes(self) -> list[Array] | None:
+    def _correction_slopes(self) -> list[Array] | None:
         """Return derivatives of what time steps make errors wrong by, as far as they are known."""
         if self._wide is None:
             return self._finer
@@ -812,6 +826,11 @@ class Fitter:
         """Return the cost of errors (K, 6) of a run."""
         return self._by(noise).cost(k, errors)
 
+    def _cost_with_start(self, k: int, at: Array, errors: Array, noise: PoseErrorNoise) -> float:
+        """Return the cost of errors (K, 6) of a run, with what is known of its start."""
+        start = at[self._own[k][self._count :]]
+        return self._cost_of(k, errors, noise) + float(start @ start)
+
     def _search(
         self,
         at: Array,
@@ -822,14 +841,16 @@ class Fitter:
         damping: float,
         least: float,
     ) -> Step:
-        """Search a Levenberg-Marquardt step that lowers the cost.
+        """Search a Levenberg-Marquardt step that lowers the cost by more than the `least` decrease.
 
-        It gives up once steps are damped so much that none promises more than the `least` decrease.
+        It gives up once steps are damped so much that none promises more; the best that was found
+        counts then.
 
         Returns:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
         """
-        lowest = self._cost(at, errors, noise)
+        lowest, here = self._cost(at, errors, noise), self._correction
+        best, there = Step(at=at, errors=errors, cost=lowest), here
         for tried in range(DAMPING_TRIES_MAX):
             step = self._step(at, hessian, gradient, damping)
             if self._sways:
@@ -849,21 +870,43 @@ class Fitter:
             found = self._best(points, trials, costs, noise)
             if found is not None and found.cost < lowest:
                 found = self._exactly(found, noise)
-            if found is not None and found.cost < lowest:
-                return replace(
-                    found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
-                )
+                if found.cost < best.cost:
+                    best = replace(
+                        found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
+                    )
+                    there = self._correction
+                self._correction = here
+                if best.decrease > least:
+                    break
             damping = max(5.0 * damping, DAMPING_START)
-        if self._exact:
-            self._errors_at(at)  # trials are near there again
-        return Step(at=at, errors=errors, cost=lowest)
+        self._correction = there
+        return best
 
     def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
-        """Return a step with errors of vanishing time steps, where `_exact`."""
+        """Return a step with errors of vanishing time steps, where `_exact`.
+
+        What these change of the first motion is another where a long step leads to: the starts
+        follow that too.
+        """
         if not self._exact:
             return step
-        errors = self._errors_at(step.at)
-        return replace(step, errors=errors, cost=self._cost(step.at, errors, noise))
+        try:
+            end = self._exact_end(step, step.at, noise)
+            if self._starts_follow:
+                there = self._correction
+                at, _ = self._restarted(end.at, end.errors, noise)
+                followed = self._exact_end(step, at, noise)
+                if followed.cost < end.cost:
+                    return followed
+                self._correction = there
+        except CarosacError:  # shorter time steps have no finite motion
+            return replace(step, cost=np.inf)
+        return end
+
+    def _exact_end(self, step: Step, at: Array, noise: PoseErrorNoise) -> Step:
+        """Return a step that ends there, with errors of vanishing time steps."""
+        errors = self._errors_at(at)
+        return replace(step, at=at, errors=errors, cost=self._cost(at, errors, noise))
 
     def _follow(
         self, at: Array, step: Array, hessian: Array, gradient: Array, noise: PoseErrorNoise
@@ -889,7 +932,7 @@ class Fitter:
         for k, (each, exists) in enumerate(zip(errors, sound, strict=True)):
             rows = self._own[k][self._count :]
             costs = np.array([
-                self._cost_of(k, error, noise) + float(way[rows] @ way[rows]) if fine else np.inf
+                self._cost_with_start(k, way, error, noise) if fine else np.inf
                 for error, way, fine in zip(each, ways.reshape(-1, len(at)), exists, strict=True)
             ]).reshape(ways.shape[:2])  # fmt: skip
             best = np.argmin(costs, axis=1)
@@ -908,13 +951,12 @@ class Fitter:
         counts, a step is judged once the starts have followed: until then a long one that leads to
         the robot looks worse than a short one.
         """
-        follow = self._many and bool(self._searched[: self._count].any())
         ends: list[Step] = []
         for k in np.argsort(costs):
             if not np.isfinite(costs[k]):
                 break
             point, found = points[k], [each[k] for each in trials]
-            if follow:
+            if self._starts_follow:
                 point, found = self._restarted(point, found, noise)
             ends.append(Step(at=point, errors=found, cost=self._cost(point, found, noise)))
             if not self._sways:
@@ -953,7 +995,7 @@ class Fitter:
         for k, rows in enumerate(self._own):
             own = rows[self._count :]
             costs = [
-                self._cost_of(k, each[k], noise) + float(end[own] @ end[own])
+                self._cost_with_start(k, end, each[k], noise)
                 for end, each in zip(ends, errors, strict=True)
             ]
             best[own] = ends[int(np.argmin(costs))][own]
@@ -1028,11 +1070,11 @@ class Fitter:
         point, found = at.copy(), list(errors)
         for k in self._kept:
             rows = own[k]
-            lowest = self._cost_of(k, errors[k], noise) + float(at[rows] @ at[rows])
-            for each, error, sound in zip(trial[:, rows], trials[k], good[k], strict=True):
-                cost = self._cost_of(k, error, noise) + float(each @ each)
+            lowest = self._cost_with_start(k, at, errors[k], noise)
+            for each, error, sound in zip(trial, trials[k], good[k], strict=True):
+                cost = self._cost_with_start(k, each, error, noise)
                 if sound and cost < lowest:
-                    lowest, point[rows], found[k] = cost, each, error
+                    lowest, point[rows], found[k] = cost, each[rows], error
         return point, found
 
     def _promise(self, step: Array, hessian: Array, gradient: Array) -> float:
@@ -1060,20 +1102,13 @@ class Fitter:
         """Return the step to the least of a quadratic cost that keeps coordinates in their bounds.
 
         None moves by more than its `reach`.
-
-        Coordinates that would leave their bounds stop there, one set after another, and the others
-        step as is best beside that.
         """
-        lower, upper = np.maximum(self._lower - at, -reach), np.full(len(at), reach)
-        step, free = np.zeros(len(at)), self._searched.copy()
-        while free.any():
-            pull = gradient[free] + hessian[np.ix_(free, ~free)] @ step[~free]
-            step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], pull)
-            leaves = free & ((step < lower) | (step > upper))
-            if not leaves.any():
-                break
-            step[leaves] = np.clip(step, lower, upper)[leaves]
-            free &= ~leaves
+        free = self._searched
+        cost = Quadratic(cost=0.0, gradient=gradient[free], information=hessian[np.ix_(free, free)])
+        lower = np.maximum(self._lower - at, -reach)
+        upper = np.broadcast_to(reach, at.shape)
+        step = np.zeros(len(at))
+        step[free] = cost.least_within(lower[free], upper[free])
         return step
 
     def _moved(self, at: Array, step: Array) -> Array:

@@ -340,10 +340,8 @@ class _Leader:
         fitted = [run.fitted for run in runs if run.part.train is not None]
         cables = as_vibrating(self.unknowns, fitted, nearly, self.unknowns.prior.sigma)
         if cables is None:
-            nearly = self._search(prepare(averaged.robot, averaged.windows), nearly)
-        else:
-            nearly = cables
-        return nearly, self._averaged(nearly)
+            cables = self._search(prepare(averaged.robot, averaged.windows), nearly)
+        return cables, self._averaged(cables)
 
     def _search(self, runs: Sequence[_Run], begin: Array | None = None) -> Array:
         fitted = [run.fitted for run in runs if run.part.train is not None]

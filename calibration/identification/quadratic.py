@@ -41,10 +41,14 @@ class Quadratic:
             information=self.information[own, own] - cross @ follow[:, 1:],
         )
 
-    def least_within(self, lower: Array) -> Array:
-        """Return the change (p,) to where it is least; none is below `lower` (p,), itself <= 0.
+    def least_within(self, lower: Array, upper: Array | float = np.inf) -> Array:
+        """Return the change (p,) to where it is least within bounds.
 
         A must be positive definite.
+
+        Args:
+            lower: Of the change, at most 0, shape (p,).
+            upper: The same, above 0; one for all: of each.
 
         Raises:
             CarosacError: No such change is found.
@@ -52,12 +56,12 @@ class Quadratic:
         from scipy.optimize import lsq_linear
 
         change = np.asarray(-np.linalg.solve(self.information, self.gradient), float)
-        if (change >= lower).all():
+        if ((change >= lower) & (change <= upper)).all():
             return change
         root = np.linalg.cholesky(self.information)  # d^T A d = |root^T d|^2
         pull = np.linalg.solve(root, -self.gradient)
         found = lsq_linear(
-            root.T, pull, bounds=(lower, np.inf), method="bvls", max_iter=BVLS_STEPS * len(lower)
+            root.T, pull, bounds=(lower, upper), method="bvls", max_iter=BVLS_STEPS * len(lower)
         )
         if not found.success:
             raise CarosacError(f"identification: bounded least squares: {found.message}")

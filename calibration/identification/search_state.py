@@ -15,6 +15,19 @@ DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with and after a ste
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Correction:
+    """What corrects simulated errors: what time steps and hidden vibrations change of them.
+
+    Attributes:
+        at: All coordinates where it was found.
+        errors: What is added to the errors of each run, shape (K, 6) or (6,).
+    """
+
+    at: Array
+    errors: list[Array]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Near:
     """Derivatives over short steps, by the time steps of the search.
 

@@ -97,23 +97,21 @@ def cable_factors(
         return float(sum(explained))
 
     logs = _around(stiffness_sigma, STIFFNESS_STEP)
-    told = np.zeros(len(logs))
-    for k, log in enumerate(logs):
-        modes = stiffer(log)
-        if modes is not None:
-            told[k] = power(modes, np.full(6, 1.0 / (DECAY_SHARE * span)))
+    stiff = [stiffer(log) for log in logs]
+    unknown = np.full(6, 1.0 / (DECAY_SHARE * span))
+    told = np.array([0.0 if modes is None else power(modes, unknown) for modes in stiff])
     freedoms = 2.0 * robot.n * sum(each is not None for each in fast)
     if told.max() <= CHANCE_SIGMAS * np.sqrt(2.0 * freedoms):
         return None
-    stiffness = _likeliest(logs, told, stiffness_sigma)
-    modes = stiffer(stiffness)
+    best = _likeliest(logs, told, stiffness_sigma)
+    stiffness, modes = float(logs[best]), stiff[best]
     assert modes is not None, "it explains something"
     stiffest = np.exp(stiffness) * robot.axial_stiffness
     squared = (2.0 * np.pi * modes.frequency.mean(axis=0)) ** 2
     rate = 0.5 * squared * float((robot.axial_damping / stiffest).mean())
     logs = _around(damping_sigma, DAMPING_STEP)
     told = np.array([power(modes, np.exp(log) * rate) for log in logs])
-    damping = _likeliest(logs, told, damping_sigma)
+    damping = float(logs[_likeliest(logs, told, damping_sigma)])
     return CableFactors(stiffness=float(np.exp(stiffness)), damping=float(np.exp(damping)))
 
 
@@ -123,10 +121,10 @@ def _around(sigma: float, step: float) -> Array:
     return np.linspace(-reach, reach, 1 + 2 * math.ceil(reach / step))
 
 
-def _likeliest(logs: Array, power: Array, sigma: float) -> float:
-    """Return the logarithm that is likeliest by an explained power (F,), with what was known."""
+def _likeliest(logs: Array, power: Array, sigma: float) -> int:
+    """Return which logarithm is likeliest by an explained power (F,), with what was known."""
     before = (logs / sigma) ** 2 if sigma else np.zeros(len(logs))
-    return float(logs[int(np.argmax(power - before))])
+    return int(np.argmax(power - before))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
