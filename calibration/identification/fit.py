@@ -19,6 +19,7 @@ from calibration.identification.error_noise import (
     estimate_noise,
 )
 from calibration.identification.frequencies import FrequencyTable, KnownFrequencies
+from calibration.identification.hidden_vibrations import hidden_vibrations
 from calibration.identification.quadratic import Quadratic
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
@@ -39,8 +40,8 @@ from calibration.identification.spread import (
     symmetric_draws,
 )
 from calibration.identification.unknowns import Coordinates
-from calibration.identification.vibration_scan import as_vibrating
-from calibration.identification.vibrations import HiddenVibrations, hidden_vibrations
+from calibration.identification.vibration_scan import as_vibrating, cable_ways
+from calibration.identification.vibrations import HiddenVibrations
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
@@ -89,7 +90,8 @@ LOST_COST_RATIO = 2.0
 GUESS_GROWTHS = (1.0, 1.5)
 STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
-DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
+DAMPING_TRIES_MAX = 7  # dampings that are tried before a search gives up
+DAMPING_GROWTH = 10.0  # from one to the next
 ProgressCallback = Callable[[int, float, float], None]
 
 
@@ -182,6 +184,8 @@ class Fitter:
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
         self._near: Near | None = None  # over short steps of a sway
         self._wide: Wide | None = None  # derivatives over some sigmas
+        # What vibrations that noise hides change of errors of each run.
+        self._hidden: list[HiddenVibrations] | None = None
         self._doubts: Doubts | None = None  # by how much these may be wrong
         self._correction = Correction(at=self._first, errors=[])  # as found last
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
@@ -238,8 +242,7 @@ class Fitter:
         left_out = [k for k, followed in enumerate(self._followed) if not followed]
         noise = self._noise(state.errors)
         self._known = self._known_about(at)
-        if self._wide is not None:
-            self._doubts = self._doubted(self._wide, state.errors, state.jacobians, noise)
+        self._doubts = self._doubted(state.errors, state.jacobians, noise)
         information, _ = self._normal(state.errors, state.jacobians, noise)
         inverse = np.asarray(np.linalg.inv(information + self._precision), float)
         excess = self._excess(state, noise, information, inverse)
@@ -334,6 +337,8 @@ class Fitter:
         damping, settled, hessian = DAMPING_START, False, None
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
         coarse = steps is not None or not (self._sways and alone)
+        if steps is None and self._sways and not alone:
+            self._hidden = self._hidden_vibrations(at, self._unknowns.prior.sigma)
         errors = self._errors_at(at)
         least, near = SETTLED_DECREASE * self._axes, STALE_SIGMAS**2 * self._count
         if self._many:
@@ -346,8 +351,7 @@ class Fitter:
             poses = sum(len(run.poses.time) for run in self._runs)
             report(poses, *_rms(np.concatenate(errors)))
             self._known = self._known_about(at)
-            if self._wide is not None:
-                self._doubts = self._doubted(self._wide, errors, jacobians, noise)
+            self._doubts = self._doubted(errors, jacobians, noise)
             information, gradient = self._normal(errors, jacobians, noise)
             hessian, gradient = information + self._precision, gradient + self._known.gradient
             rough = coarse and self._sways and steps is None
@@ -384,7 +388,7 @@ class Fitter:
         """
         before = self._wide
         jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
-        if self._wide is before or self._leads_roughly:
+        if self._wide is before:
             return errors, jacobians
         return self._errors_at(at), jacobians
 
@@ -514,10 +518,8 @@ class Fitter:
             ]
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of the robot")
-        if self._wide is not None:
-            more = [
-                each + hidden.drift for each, hidden in zip(more, self._wide.hidden, strict=True)
-            ]
+        if self._hidden is not None:
+            more = [each + hidden.drift for each, hidden in zip(more, self._hidden, strict=True)]
         self._correction = Correction(at=at, errors=more)
         return [each[0] + beyond for each, beyond in zip(errors, more, strict=True)]
 
@@ -677,39 +679,39 @@ class Fitter:
         if alike:
             for each in (rough, exact):
                 self._fill_alike(each)
-        near, hidden = exact, [HiddenVibrations.none(each[:, :, 0]) for each in rough]
-        if not rough_axes:
-            near = self._jacobians(at, coarse=True)
-            hidden = self._hidden_vibrations(at, hessian, hidden)
-        return Wide(
-            at=at.copy(), rough=rough, exact=exact, near=near, hidden=hidden, rough_axes=rough_axes
-        )
+        near = exact if rough_axes else self._jacobians(at, coarse=True)
+        sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
+        self._hidden = self._hidden_vibrations(at, sigma)
+        return Wide(at=at.copy(), rough=rough, exact=exact, near=near, rough_axes=rough_axes)
 
-    def _hidden_vibrations(
-        self, at: Array, hessian: Array, none: Sequence[HiddenVibrations]
-    ) -> list[HiddenVibrations]:
-        """Return what vibrations that noise hides change, as `hidden_vibrations`.
+    def _hidden_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
+        """Return what vibrations that noise hides change of each run, as `hidden_vibrations`.
 
         The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show,
-        within three sigmas of what the sway tells.
+        within three sigmas; a search begins with such ones. Nothing is hidden in a run that is left
+        out, or whose start has vibrations as unknowns.
 
         Args:
             at: All coordinates, shape (p,).
-            hessian: Of the cost, about, shape (p, p).
-            none: What stands for a run that is left out, or whose start has vibrations as unknowns.
+            sigma: How far off those of the robot may be, shape (k,).
         """
-        hidden = list(none)
+        hidden = [
+            HiddenVibrations.none(run.seen(np.zeros((len(run.poses.time), 6))))
+            for run in self._runs
+        ]
         which = [k for k in self._kept if not len(self._runs[k].sway.stretch_sigma)]
         runs = [self._whole[k] for k in which]
-        robot, sigma = at[: self._count], np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
-        cables = as_vibrating(self._unknowns, runs, robot, sigma)
-        robot = robot if cables is None else cables
+        robot = at[: self._count]
+        if self._hidden is not None:
+            cables = as_vibrating(self._unknowns, runs, robot, sigma)
+            robot = robot if cables is None else cables
         found = hidden_vibrations(
             self._simulator,
             runs,
             [self._runs[k] for k in which],
             [np.concatenate([robot, at[self._own[k][self._count :]]]) for k in which],
             self._unknowns.robot_at(robot),
+            cable_ways(self._unknowns, robot, sigma),
             self._time_step,
         )
         for k, each in zip(which, found, strict=True):
@@ -717,19 +719,20 @@ class Fitter:
         return hidden
 
     def _doubted(
-        self,
-        wide: Wide,
-        errors: Sequence[Array],
-        jacobians: Sequence[Array],
-        noise: PoseErrorNoise,
-    ) -> Doubts:
-        """Return by how much derivatives may be wrong, as both kinds differ."""
-        count = self._count
+        self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
+    ) -> Doubts | None:
+        """Return by how much errors may be wrong beside noise; None: that was not looked at.
+
+        Derivatives may, as both kinds differ, and vibrations that noise hides change them.
+        """
+        if self._hidden is None:
+            return None
+        count, wide = self._count, self._wide
         runs = []
-        for k, (jacobian, exact, near, hidden) in enumerate(
-            zip(jacobians, wide.exact, wide.near, wide.hidden, strict=True)
-        ):
-            differs = DOUBT_RATIO * (exact - near)
+        for k, (jacobian, hidden) in enumerate(zip(jacobians, self._hidden, strict=True)):
+            differs = np.zeros_like(jacobian)
+            if wide is not None:
+                differs = DOUBT_RATIO * (wide.exact[k] - wide.near[k])
             flat, doubt = (each.reshape(errors[k].size, -1) for each in (jacobian, differs))
             weights = noise.weights(errors[k]).ravel() * float(self._followed[k])
             runs.append(
@@ -878,7 +881,7 @@ class Fitter:
                 self._correction = here
                 if best.decrease > least:
                     break
-            damping = max(5.0 * damping, DAMPING_START)
+            damping = max(DAMPING_GROWTH * damping, DAMPING_START)
         self._correction = there
         return best
 

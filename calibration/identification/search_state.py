@@ -8,7 +8,6 @@ import numpy as np
 
 from calibration.identification.runs import FittedRun
 from calibration.identification.spread import STALE_SIGMAS
-from calibration.identification.vibrations import HiddenVibrations
 from carosac_toolkit.base.arrays import Array
 
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with and after a step that fails
@@ -51,8 +50,6 @@ class Wide:
         rough: Of the time steps of the search.
         exact: Of vanishing ones; those of the search along rough axes.
         near: Over short steps, of the time steps of the search; the same along rough axes.
-        hidden: What vibrations that noise hides change of errors of each run; nothing along rough
-            axes.
         rough_axes: True if along axes of a covariance by rough derivatives: these mix what is known
             well with what is not, so that some sigmas of one are too many of another.
     """
@@ -61,7 +58,6 @@ class Wide:
     rough: list[Array]
     exact: list[Array]
     near: list[Array]
-    hidden: list[HiddenVibrations]
     rough_axes: bool = False
 
     @property

@@ -65,6 +65,23 @@ def as_vibrating(
     return at
 
 
+def cable_ways(unknowns: Coordinates, at: Array, sigma: Array) -> Array:
+    """Return changes of a robot by one sigma of its cables' stiffness and damping, (q, k).
+
+    None of what is held.
+
+    Args:
+        unknowns: Of a robot.
+        at: Its coordinates, shape (k,).
+        sigma: How far off these may be, shape (k,).
+    """
+    changes = [
+        unknowns.multiplied(at, field, float(np.exp(unknowns.log_sigma(field, sigma)))) - at
+        for field in CABLE_FIELDS
+    ]
+    return np.array([each for each in changes if each.any()]).reshape(-1, len(at))
+
+
 def cable_factors(
     robot: Robot, runs: Sequence[FittedRun], stiffness_sigma: float, damping_sigma: float
 ) -> CableFactors | None:

@@ -209,8 +209,7 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(errors, exact, noise)
-    hidden = [HiddenVibrations.none(each[:, :, 0]) for each in rough]
-    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough, hidden=hidden)
+    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough)
     return fitter, at, errors, noise, wide, information
 
 
@@ -220,11 +219,12 @@ def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near,
     fitter, at, errors, noise, wide, information = near
     hessian = information + fitter._precision
     monkeypatch.setattr(fitter, "_wide", None)
+    monkeypatch.setattr(fitter, "_hidden", None)
     first = fitter._taken_wide(at, hessian)
     assert first.is_stale(at, hessian, fitter._count) is False and first.rough_axes
     monkeypatch.setattr(fitter, "_wide", wide)
     taken = fitter._taken_wide(at, hessian)
-    assert not taken.rough_axes and taken.hidden[0].spread.size
+    assert not taken.rough_axes and fitter._hidden[0].spread.size
     again, _ = fitter._normal(errors, taken.exact, noise)
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     own = np.arange(len(at)) != fitter._mass
@@ -257,15 +257,13 @@ def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
 
 
 def test_hidden_vibrations_correct_errors_and_trials_once(near, monkeypatch):
-    fitter, at, _, _, wide, _ = near
-    monkeypatch.setattr(fitter, "_wide", wide)
+    fitter, at, *_ = near
     without, (plain, _) = fitter._errors_at(at), fitter._trials(at[None])
     for size in (1e-3, 2e-3):  # found anew, a drift is another and not added
         hidden = [
-            replace(none, drift=np.full_like(each, size))
-            for none, each in zip(wide.hidden, without, strict=True)
+            replace(HiddenVibrations.none(each), drift=np.full_like(each, size)) for each in without
         ]
-        monkeypatch.setattr(fitter, "_wide", replace(wide, hidden=hidden))
+        monkeypatch.setattr(fitter, "_hidden", hidden)
         found, (trials, _) = fitter._errors_at(at), fitter._trials(at[None])
         for old, new, tried, trial in zip(without, found, plain, trials, strict=True):
             assert new - old == pytest.approx(size) and trial - tried == pytest.approx(size)
@@ -351,8 +349,11 @@ def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
 
     def doubt(wide):
         monkeypatch.setattr(fitter, "_doubts", None)
+        monkeypatch.setattr(fitter, "_wide", wide)
+        hidden = [HiddenVibrations.none(error) for error in errors]
+        monkeypatch.setattr(fitter, "_hidden", hidden)
         believed, _ = fitter._normal(errors, wide.jacobians, noise)
-        doubts = fitter._doubted(wide, errors, wide.jacobians, noise)
+        doubts = fitter._doubted(errors, wide.jacobians, noise)
         monkeypatch.setattr(fitter, "_doubts", doubts)
         return believed, *fitter._normal(errors, wide.jacobians, noise)
 
