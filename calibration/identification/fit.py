@@ -687,9 +687,10 @@ class Fitter:
     def _hidden_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change of each run, as `hidden_vibrations`.
 
-        The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show,
-        within three sigmas; a search begins with such ones. Nothing is hidden in a run that is left
-        out, or whose start has vibrations as unknowns.
+        The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show:
+        a search for these begins where the robot is, and later where most of them is explained
+        within three sigmas. Nothing is hidden in a run that is left out, or whose start has
+        vibrations as unknowns.
 
         Args:
             at: All coordinates, shape (p,).
@@ -895,15 +896,16 @@ class Fitter:
             return step
         try:
             end = self._exact_end(step, step.at, noise)
-            if self._starts_follow:
-                there = self._correction
+        except CarosacError:  # shorter time steps have no finite motion
+            return replace(step, cost=np.inf)
+        there = self._correction
+        if self._starts_follow:
+            with suppress(CarosacError):  # starts that follow may have none
                 at, _ = self._restarted(end.at, end.errors, noise)
                 followed = self._exact_end(step, at, noise)
                 if followed.cost < end.cost:
                     return followed
-                self._correction = there
-        except CarosacError:  # shorter time steps have no finite motion
-            return replace(step, cost=np.inf)
+        self._correction = there
         return end
 
     def _exact_end(self, step: Step, at: Array, noise: PoseErrorNoise) -> Step:

@@ -1,4 +1,9 @@
-"""What vibrations that noise hides change of the errors of some runs."""
+"""What vibrations that noise hides change of the errors of some runs.
+
+Cables are taken for as stiff as all runs say; how far off that may be is left out. Of a run whose
+poses do not show the likeliest vibrations only the level is believed. One that has no finite motion
+however little it vibrates counts as calm.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +13,13 @@ import numpy as np
 
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
-from calibration.identification.vibration_search import HALVINGS_MAX, VibrationSearch
+from calibration.identification.vibration_search import VibrationSearch
 from calibration.identification.vibrations import HiddenVibrations, VibratingStarts
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.robot.robot import Robot
 
 SEED = 0
+HALVINGS_MAX = 3  # of vibrations with which a platform has no finite motion
 
 
 def hidden_vibrations(
@@ -37,9 +42,6 @@ def hidden_vibrations(
         cables: Changes of the robot's coordinates by one sigma of what is known of its cables,
             which all runs together tell, shape (q, k).
         time_step: Of a sway, at most [s].
-
-    Raises:
-        CarosacError: A platform has no finite motion, as little as it vibrates.
     """
     if not runs:
         return []
@@ -47,20 +49,43 @@ def hidden_vibrations(
     starts = [VibratingStarts.of(run, robot, rng) for run in runs]
     search = VibrationSearch(simulator, starts, at, cables, time_step)
     calm = np.zeros((1, len(starts[0].ways)))
-    points = [np.concatenate([calm, each.sigma_points()]) for each in search.run()]
-    for _ in range(1 + HALVINGS_MAX):
-        vibrating, sound = search.errors(starts, points)
-        if all(sound):
+    followed = search.run()
+    points = [np.concatenate([calm, each.told.sigma_points()]) for each in followed]
+    errors, sound = search.errors(starts, points)
+    shown = [
+        fine[:2].all() and each.start.shows(each.told, own[:2, : len(each.start.run.poses.time)])
+        for each, own, fine in zip(followed, errors, sound, strict=True)
+    ]
+    if not all(shown):
+        points = [
+            along if likely else np.concatenate([calm, each.told.forgotten.sigma_points()])
+            for each, along, likely in zip(followed, points, shown, strict=True)
+        ]
+        errors, sound = search.errors(starts, points)
+    for _ in range(HALVINGS_MAX):
+        if all(each.all() for each in sound):
             break
-        points = [along if fine else 0.5 * along for along, fine in zip(points, sound, strict=True)]
-    else:
-        raise CarosacError("identification: no finite motion of a robot whose cables vibrate")
-    hidden = []
-    for run, part, errors in zip(runs, counted, vibrating, strict=True):
-        rows = np.isin(run.poses.time, part.poses.time)
-        still, _, *others = [part.seen(each[rows]) for each in errors]
-        likely = np.mean(others, axis=0)
-        off = np.array(others) - likely
-        spread = off.reshape(len(off), -1).T / np.sqrt(len(off))
-        hidden.append(HiddenVibrations(drift=likely - still, spread=spread))
-    return hidden
+        points = [
+            along if fine.all() else 0.5 * along for along, fine in zip(points, sound, strict=True)
+        ]
+        errors, sound = search.errors(starts, points)
+    return [
+        _changed(run, part, own) if fine.all() else HiddenVibrations.none(part.seen(0.0 * own[0]))
+        for run, part, own, fine in zip(runs, counted, errors, sound, strict=True)
+    ]
+
+
+def _changed(run: FittedRun, part: FittedRun, errors: Array) -> HiddenVibrations:
+    """Return what vibrations change of the errors of a run.
+
+    Args:
+        run: With all poses.
+        part: With those that count.
+        errors: Of all poses, of a calm start, the likeliest one, and others, shape (2 + W, K, 6).
+    """
+    rows = np.isin(run.poses.time, part.poses.time)
+    calm, _, *others = [part.seen(each[rows]) for each in errors]
+    likely = np.mean(others, axis=0)
+    off = np.array(others) - likely
+    spread = off.reshape(len(off), -1).T / np.sqrt(len(off))
+    return HiddenVibrations(drift=likely - calm, spread=spread)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.identification.quadratic import Quadratic
 from calibration.identification.run_simulator import RunSimulator
@@ -22,16 +23,14 @@ from calibration.identification.vibrations import (
     VibratingStarts,
 )
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
 
 SHARES = (0.25, 0.5, 1.0)  # of the time in which vibrations are looked for, one after another
-STEPS_MAX = 3  # for each of them
+STEPS_MAX = 6  # for each of them
 DAMPING_RATIOS = (1.0, 30.0, 1e3)  # that are tried
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-6  # of what poses tell of each way to vibrate
 CABLE_SHARES = (0.0, 0.3, 1.0)  # of a step of the cables that are tried
 CABLE_PROBE = 0.01  # of the sigma of what is known of cables, for differences
-SETTLED_DECREASE = 0.1  # of the cost of a typical run
-HALVINGS_MAX = 3  # of vibrations with which a platform has no finite motion
+SETTLED_DECREASE = 0.1  # squared sigmas, for each run
 
 
 @dataclass
@@ -41,10 +40,25 @@ class _Following:
     Attributes:
         about: Coefficients of the ways in which it starts, shape (2 n,).
         damping: Of the next step.
+        lost: True if it could not be followed for so long: it says nothing of the cables any more.
     """
 
     about: Array
     damping: float = DAMPING_START
+    lost: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FollowedVibrations:
+    """Vibrations of a run, as far as they are followed.
+
+    Attributes:
+        told: What poses tell of them.
+        start: With those poses.
+    """
+
+    told: ToldVibrations
+    start: VibratingStarts
 
 
 class VibrationSearch:
@@ -72,13 +86,9 @@ class VibrationSearch:
         self._moved = np.zeros(len(cables))  # cables, in sigmas
         self._runs = [_Following(np.zeros(len(start.ways))) for start in starts]
 
-    def run(self) -> list[ToldVibrations]:
-        """Search; return what poses tell of the vibrations of each run.
-
-        Raises:
-            CarosacError: A platform has no finite motion, as little as it vibrates.
-        """
-        found: list[ToldVibrations | None] = [None] * len(self._starts)
+    def run(self) -> list[FollowedVibrations]:
+        """Search; return the vibrations of each run."""
+        found: list[FollowedVibrations] = []
         for share in SHARES:
             starts = [start.first(share) for start in self._starts]
             for each in self._runs:
@@ -86,20 +96,22 @@ class VibrationSearch:
             for _ in range(STEPS_MAX):
                 if self._step(starts) <= SETTLED_DECREASE * len(starts):
                     break
-            for k, told in enumerate(self._told(starts)):
-                before = found[k]
-                if before is None or not before.information.any() or told.follows(before):
-                    found[k] = told
-        return [
-            told if start.stays_taut(told.sigma_points()[0]) else told.forgotten
-            for start, told in zip(self._starts, found, strict=True)
-            if told is not None
-        ]
+            ends = [
+                FollowedVibrations(told=told, start=start)
+                for told, start in zip(self._told(starts), starts, strict=True)
+            ]
+            for run, before, end in zip(self._runs, found, ends, strict=bool(found)):
+                run.lost |= not end.told.follows(before.told)
+            found = [
+                found[k] if run.lost else end
+                for k, (run, end) in enumerate(zip(self._runs, ends, strict=True))
+            ]
+        return found
 
     def errors(
         self, starts: Sequence[VibratingStarts], along: Sequence[Array], beside: Array | None = None
-    ) -> tuple[list[Array], list[bool]]:
-        """Return errors (W, K, 6) of all poses of each run, and whether all motions are finite.
+    ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+        """Return errors (W, K, 6) of all poses of each run, and which motions are finite (W,).
 
         Args:
             starts: Of each run.
@@ -110,35 +122,29 @@ class VibrationSearch:
         if beside is not None:
             for each in points:
                 each[:, : self._cables.shape[1]] += beside @ self._cables
-        errors, sound = self._simulator.pose_errors(
+        return self._simulator.pose_errors(
             [start.run for start in starts], points, self._time_step, refined=REFINED
         )
-        return errors, [bool(each.all()) for each in sound]
 
     def _told(self, starts: Sequence[VibratingStarts]) -> list[ToldVibrations]:
-        """Return what poses tell where the search stands."""
-        cables = len(self._moved)
-        for _ in range(1 + HALVINGS_MAX):
-            around = [
-                run.about + np.vstack([
-                    np.zeros_like(run.about), PROBE * np.eye(len(run.about)),
-                    np.zeros((cables, len(run.about))),
-                ])
-                for run in self._runs
-            ]  # fmt: skip
-            beside = np.zeros((len(around[0]), cables))
-            beside[len(beside) - cables :] = CABLE_PROBE * np.eye(cables)
-            errors, sound = self.errors(starts, around, beside)
-            if all(sound):
-                break
-            for run, fine in zip(self._runs, sound, strict=True):
-                run.about = run.about if fine else 0.5 * run.about
-        else:
-            raise CarosacError("identification: no finite motion of a robot whose cables vibrate")
-        return [
-            start.told(run.about, own, CABLE_PROBE)
-            for start, run, own in zip(starts, self._runs, errors, strict=True)
-        ]
+        """Return what poses tell where the search stands.
+
+        A run without a finite motion there tells nothing, and starts from rest again.
+        """
+        ways, cables = len(self._runs[0].about), len(self._moved)
+        probes = np.zeros((1 + ways + cables, ways))
+        probes[1 : 1 + ways] = PROBE * np.eye(ways)
+        beside = np.zeros((len(probes), cables))
+        beside[1 + ways :] = CABLE_PROBE * np.eye(cables)
+        errors, sound = self.errors(starts, [run.about + probes for run in self._runs], beside)
+        told = []
+        for start, run, own, fine in zip(starts, self._runs, errors, sound, strict=True):
+            if fine.all():
+                told.append(start.told(run.about, own, CABLE_PROBE))
+            else:
+                told.append(start.untold(cables))
+                run.about = np.zeros(ways)
+        return told
 
     def _step(self, starts: Sequence[VibratingStarts]) -> float:
         """Take a step; return by how much the cost falls.
@@ -149,42 +155,53 @@ class VibrationSearch:
         move = self._cable_step(told)
         moves = np.outer(CABLE_SHARES, move) if len(move) else np.zeros((1, 0))
         ways = [
-            np.array(
-                [run.about]
-                + [
+            np.array([
+                run.about, np.zeros_like(run.about),
+                *(
                     run.about + each.step(run.about, ratio * run.damping, other)
-                    for other in moves
-                    for ratio in DAMPING_RATIOS
-                ]
-            )
+                    for other in moves for ratio in DAMPING_RATIOS
+                ),
+            ])
             for run, each in zip(self._runs, told, strict=True)
-        ]
+        ]  # fmt: skip
         tries = len(DAMPING_RATIOS)
-        beside = np.concatenate([moves[:1], np.repeat(moves, tries, axis=0)])
-        errors, _ = self.errors(starts, ways, beside)
+        beside = np.concatenate([moves[:1], moves[:1], np.repeat(moves, tries, axis=0)])
+        errors, sound = self.errors(starts, ways, beside)
         costs = np.array([
-            [start.cost(each, *one) for one in zip(way, own, strict=True)]
-            for start, each, way, own in zip(starts, told, ways, errors, strict=True)
+            [
+                start.cost(each, *one) if fine else np.inf
+                for *one, fine in zip(way, own, good, strict=True)
+            ]
+            for start, each, way, own, good in zip(
+                starts, told, ways, errors, sound, strict=True
+            )
         ])  # fmt: skip
-        first = [0, *range(1 + tries, costs.shape[1], tries)]  # of each move of the cables
-        best = [row + np.argmin(costs[:, row : row + tries + (row == 0)], axis=1) for row in first]
+        first = [0, *range(2 + tries, costs.shape[1], tries)]  # of each move of the cables
+        best = [
+            row + np.argmin(costs[:, row : row + tries + 2 * (row == 0)], axis=1) for row in first
+        ]
         rows = np.arange(len(costs))
         known = [float((self._moved + each) @ (self._moved + each)) for each in moves]
-        totals = [costs[rows, each].sum() + more for each, more in zip(best, known, strict=True)]
+        votes = np.array([not run.lost for run in self._runs])
+        totals = [
+            costs[rows, each][votes].sum() + more for each, more in zip(best, known, strict=True)
+        ]
         taken = int(np.argmin(totals))
         for run, way, row in zip(self._runs, ways, best[taken], strict=True):
-            ratio = DAMPING_RATIOS[(row - 1) % tries] / 10.0 if row else DAMPING_RATIOS[-1]
+            ratio = DAMPING_RATIOS[(row - 2) % tries] / 10.0 if row > 1 else DAMPING_RATIOS[-1]
             run.about, run.damping = way[row], max(ratio * run.damping, DAMPING_MIN)
         self._moved = self._moved + moves[taken]
         for each in self._at:
             each[: self._cables.shape[1]] += moves[taken] @ self._cables
-        return float(costs[:, 0].sum() + known[0] - totals[taken])
+        return float(costs[votes, 0].sum() + known[0] - totals[taken])
 
     def _cable_step(self, told: Sequence[ToldVibrations]) -> Array:
         """Return the likeliest change of cables [sigma], shape (q,), beside which starts follow."""
         count = len(self._moved)
         information, gradient = np.eye(count), self._moved.copy()
         for run, each in zip(self._runs, told, strict=True):
+            if run.lost:
+                continue
             apart: Quadratic = each.about(run.about).least_beside(count)
             information, gradient = information + apart.information, gradient + apart.gradient
         return np.asarray(-np.linalg.solve(information, gradient), float)

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f
 
 from calibration.identification.open_loop import first_equilibrium
 from calibration.identification.quadratic import Quadratic
@@ -29,10 +30,12 @@ from carosac_toolkit.robot.robot import Robot
 # Levels of vibrations are of the prior sigma of elongations, which is twice those at rest.
 PROBE = 0.01  # level so low that poses follow in proportion
 SLACK = 0.5  # elongations at which a cable hangs loose in between
-LOOSE_RATIO_MAX = 2.0  # to that level, up to which vibrations that poses show are believed
 SEEN_WINDOWS = 2.0  # after the leading poses, until when vibrations are looked for
 SEEN_SIGMAS = 3.0  # of the power that noise explains: more are vibrations for sure
 LOST_SCATTER_RATIO = 1.3  # of what vibrations leave of poses, beyond which they are lost
+CHANCE = 1e-3  # that noise alone exceeds that
+# Of the power of the likeliest vibrations: poses that show less of it do not show them.
+SHOWN_SHARE = 0.5
 FREEDOMS_MIN = 4.0  # of poses that tell a level, for each way to vibrate
 REFINED = 2  # steps that those of a sway are divided into, for what vibrates
 TINY = 1e-12  # instead of no information
@@ -81,13 +84,6 @@ class VibratingStarts:
         elongation, rate = np.split(self.ways, 2, axis=1)
         return SLACK / float(np.hypot(elongation, rate).max())
 
-    def stays_taut(self, along: Array) -> bool:
-        """Say whether cables hang loose for a moment at most, with coefficients (2 n,) of the ways.
-
-        Else motions that differ much fit poses alike.
-        """
-        return float(np.linalg.norm(along)) <= LOOSE_RATIO_MAX * self.highest
-
     def told(self, about: Array, errors: Array, cable_probe: float) -> ToldVibrations:
         """Return what poses tell of the vibrations from which they come.
 
@@ -106,11 +102,7 @@ class VibratingStarts:
         missed, freedoms = _fast(self.run, -errors[0])
         count, cables = len(self.ways), len(errors) - 1 - len(self.ways)
         if 6 * freedoms < FREEDOMS_MIN * count:
-            size = count + cables
-            return ToldVibrations(
-                level=self.highest, information=np.zeros((size, size)), pull=np.zeros(size),
-                scatter=np.ones(6), cables=cables,
-            )  # fmt: skip
+            return self.untold(cables)
         probes = np.concatenate([np.full(count, PROBE), np.full(cables, cable_probe)])
         slopes = _fast(self.run, errors[1:] - errors[0])[0].reshape(len(probes), -1).T / probes
         left, ways = missed, slopes[:, :count]
@@ -132,8 +124,31 @@ class VibratingStarts:
         return ToldVibrations(
             level=min(level, SLACK if seen else self.highest), information=information,
             pull=scaled.T @ wanted + information[:, :count] @ about,
-            scatter=np.repeat(sides, 3), cables=cables,
+            scatter=np.repeat(sides, 3), freedoms=freedoms, cables=cables,
         )  # fmt: skip
+
+    def untold(self, cables: int) -> ToldVibrations:
+        """Return that poses tell nothing, of q ways in which cables may be others either."""
+        size = len(self.ways) + cables
+        return ToldVibrations(
+            level=self.highest, information=np.zeros((size, size)), pull=np.zeros(size),
+            scatter=np.ones(6), freedoms=0, cables=cables,
+        )  # fmt: skip
+
+    def shows(self, told: ToldVibrations, errors: Array) -> bool:
+        """Say whether poses show what a platform does that vibrates likeliest.
+
+        Poses miss a calm platform by more than that one, by its power if vibrations and it are
+        alike; by less by as much if their phases are lost.
+
+        Args:
+            told: By these poses.
+            errors: Of a calm start and of the likeliest one, of all poses, shape (2, K, 6).
+        """
+        calm, likeliest = _fast(self.run, errors)[0] / told.scatter
+        power = float(((calm - likeliest) ** 2).sum())
+        explained = float((calm**2).sum() - (likeliest**2).sum())
+        return explained >= SHOWN_SHARE * power
 
     def cost(self, told: ToldVibrations, along: Array, errors: Array) -> float:
         """Return the cost of coefficients (2 n,) with errors (K, 6) there, as told beside them."""
@@ -152,6 +167,7 @@ class ToldVibrations:
             (d + q, d + q).
         pull: Information times their estimate from poses alone, cables unchanged, shape (d + q,).
         scatter: Of positions [m] and rotations [rad] beside them, shape (6,).
+        freedoms: Of each component of these.
         cables: q.
     """
 
@@ -159,6 +175,7 @@ class ToldVibrations:
     information: Array
     pull: Array
     scatter: Array
+    freedoms: int
     cables: int
 
     def sigma_points(self) -> Array:
@@ -183,7 +200,11 @@ class ToldVibrations:
         Args:
             before: What fewer of the poses told.
         """
-        return bool((self.scatter <= LOST_SCATTER_RATIO * before.scatter).all())
+        if not before.freedoms or not self.freedoms:
+            return not before.freedoms
+        chance = np.sqrt(f.isf(CHANCE, 3 * self.freedoms, 3 * before.freedoms))
+        limit = max(LOST_SCATTER_RATIO, float(chance))
+        return bool((self.scatter <= limit * before.scatter).all())
 
     def known(self, level: float) -> float:
         """Return the information before on each coefficient, at a level."""

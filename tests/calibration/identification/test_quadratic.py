@@ -28,6 +28,17 @@ def test_within_bounds_no_direction_leads_lower(seed):
     assert (slope[bound] >= -1e-9).all()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_within_bounds_to_both_sides_no_direction_leads_lower(seed):
+    cost, reach = some(seed), np.full(6, 0.05)
+    change = cost.least_within(-reach, reach)
+    slope = cost.gradient + cost.information @ change
+    low, high = change <= -reach + 1e-12, change >= reach - 1e-12
+    assert (np.abs(change) <= reach).all() and (low | high).any()
+    assert slope[~low & ~high] == pytest.approx(0.0, abs=1e-9)
+    assert (slope[low] >= -1e-9).all() and (slope[high] <= 1e-9).all()
+
+
 def test_far_bounds_change_nothing():
     cost = some(0)
     change = cost.least_within(np.full(6, -np.inf))
