@@ -714,6 +714,7 @@ class Fitter:
             self._unknowns.robot_at(robot),
             cable_ways(self._unknowns, robot, sigma),
             self._time_step,
+            None if self._hidden is None else [self._hidden[k] for k in which],
         )
         for k, each in zip(which, found, strict=True):
             hidden[k] = each

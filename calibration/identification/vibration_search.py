@@ -24,13 +24,13 @@ from calibration.identification.vibrations import (
 )
 from carosac_toolkit.base.arrays import Array
 
-SHARES = (0.25, 0.5, 1.0)  # of the time in which vibrations are looked for, one after another
-STEPS_MAX = 6  # for each of them
+SHARES = (0.3, 1.0)  # of the time in which vibrations are looked for, one after another
+STEPS_MAX = 5  # for each of them
 DAMPING_RATIOS = (1.0, 30.0, 1e3)  # that are tried
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-6  # of what poses tell of each way to vibrate
 CABLE_SHARES = (0.0, 0.3, 1.0)  # of a step of the cables that are tried
 CABLE_PROBE = 0.01  # of the sigma of what is known of cables, for differences
-SETTLED_DECREASE = 0.1  # squared sigmas, for each run
+SETTLED_DECREASE = 0.5  # squared sigmas, for each run
 
 
 @dataclass
@@ -71,6 +71,7 @@ class VibrationSearch:
         at: Sequence[Array],
         cables: Array,
         time_step: float,
+        begin: Sequence[Array] | None = None,
     ) -> None:
         """Take the runs.
 
@@ -80,16 +81,22 @@ class VibrationSearch:
             at: Coordinates of each run without vibrations, those of the robot first.
             cables: Changes of the robot by one sigma of what is known of its cables, shape (q, k).
             time_step: Of a sway, at most [s].
+            begin: Nearly the likeliest vibrations, as of a robot that is nearly this one, each
+                (2 n,): they are followed at once for as long as they are looked for. None: calm
+                platforms.
         """
+        self._shares = SHARES if begin is None else SHARES[-1:]
         self._simulator, self._starts, self._time_step = simulator, starts, time_step
         self._at, self._cables = [each.copy() for each in at], cables
         self._moved = np.zeros(len(cables))  # cables, in sigmas
-        self._runs = [_Following(np.zeros(len(start.ways))) for start in starts]
+        self._runs = [
+            _Following(about) for about in begin or [np.zeros(len(start.ways)) for start in starts]
+        ]
 
     def run(self) -> list[FollowedVibrations]:
         """Search; return the vibrations of each run."""
         found: list[FollowedVibrations] = []
-        for share in SHARES:
+        for share in self._shares:
             starts = [start.first(share) for start in self._starts]
             for each in self._runs:
                 each.damping = DAMPING_START
@@ -109,7 +116,12 @@ class VibrationSearch:
         return found
 
     def errors(
-        self, starts: Sequence[VibratingStarts], along: Sequence[Array], beside: Array | None = None
+        self,
+        starts: Sequence[VibratingStarts],
+        along: Sequence[Array],
+        beside: Array | None = None,
+        *,
+        which: Sequence[int] | None = None,
     ) -> tuple[list[Array], list[NDArray[np.bool_]]]:
         """Return errors (W, K, 6) of all poses of each run, and which motions are finite (W,).
 
@@ -117,13 +129,17 @@ class VibrationSearch:
             starts: Of each run.
             along: How strongly it starts in each of its ways, of each run, shape (W, 2 n).
             beside: Further changes of cables [sigma], shape (W, q); None: none.
+            which: Of these runs only; None: all.
         """
-        points = [start.points(*each) for start, *each in zip(starts, self._at, along, strict=True)]
+        rows = range(len(starts)) if which is None else which
+        if not rows:
+            return [], []
+        points = [starts[k].points(self._at[k], along[k]) for k in rows]
         if beside is not None:
             for each in points:
                 each[:, : self._cables.shape[1]] += beside @ self._cables
         return self._simulator.pose_errors(
-            [start.run for start in starts], points, self._time_step, refined=REFINED
+            [starts[k].run for k in rows], points, self._time_step, refined=REFINED
         )
 
     def _told(self, starts: Sequence[VibratingStarts]) -> list[ToldVibrations]:

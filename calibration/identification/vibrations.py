@@ -244,15 +244,20 @@ class HiddenVibrations:
             by it.
         spread: V in the covariance V V^T of what that may be wrong by, shape (6 K, 2 d); (6 K, 0)
             where nothing is hidden.
+        along: Coefficients of the likeliest vibrations, from which a later search begins, shape
+            (d,); (0,) where there was none.
     """
 
     drift: Array
     spread: Array
+    along: Array
 
     @classmethod
     def none(cls, errors: Array) -> HiddenVibrations:
         """Return those of a run with errors (K, 6) that nothing hidden changes."""
-        return cls(drift=np.zeros_like(errors), spread=np.zeros((errors.size, 0)))
+        return cls(
+            drift=np.zeros_like(errors), spread=np.zeros((errors.size, 0)), along=np.zeros(0)
+        )
 
 
 def _fast(run: FittedRun, errors: Array) -> tuple[Array, int]:
