@@ -687,10 +687,10 @@ class Fitter:
     def _hidden_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change of each run, as `hidden_vibrations`.
 
-        The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show:
-        a search for these begins where the robot is, and later where most of them is explained
-        within three sigmas. Nothing is hidden in a run that is left out, or whose start has
-        vibrations as unknowns.
+        The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show.
+        They are searched from those of the robot; from the second time on, from those within three
+        sigmas of it that explain most of the vibrations. Nothing is hidden in a run that is left
+        out, or whose start has vibrations as unknowns.
 
         Args:
             at: All coordinates, shape (p,).
@@ -890,8 +890,8 @@ class Fitter:
     def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
         """Return a step with errors of vanishing time steps, where `_exact`.
 
-        What these change of the first motion is another where a long step leads to: the starts
-        follow that too.
+        Where a long step leads, time steps change the first motion by another amount than where it
+        began: the starts follow that too.
         """
         if not self._exact:
             return step

@@ -1,9 +1,9 @@
 """The likeliest vibrations of some runs, and the cables that vibrate, by Gauss-Newton.
 
-Vibrations are followed from the first pose on, for ever longer times: at first their phases are not
-lost yet. How stiff the cables are, and how much they damp, is common to all runs. Beside it each
-run starts as suits it best. What is left of poses says for how long a run is followed: where
-vibrations are strong, a search may lose them.
+Vibrations are followed from the first pose that is looked at, over a short time and then a longer
+one: over a short time a wrong stiffness does not lose their phases yet. How stiff the cables are,
+and how much they damp, is common to all runs; given that, each run starts as suits it best. What
+the likeliest vibrations leave of the poses says for how long a run could be followed.
 """
 
 from __future__ import annotations

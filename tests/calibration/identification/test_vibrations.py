@@ -185,7 +185,7 @@ def test_the_drift_follows_from_vibrations_below_the_noise_of_a_pose(simulator, 
 
 
 def test_strong_vibrations_are_followed_from_their_beginning(simulator, plant, run, at):
-    """Far from linear, as amplitudes of dry friction are."""
+    """Far from linear: dry friction takes a larger share of small amplitudes."""
     alone, corrected, beside, claimed = shares_of_drift(simulator, plant, run, at, 0.2)
     assert alone > 3.0
     assert corrected < 1.25 and beside == pytest.approx(1.0, abs=0.1)
