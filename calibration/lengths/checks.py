@@ -14,6 +14,7 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.broken_channels import find_repeated_pose
 from carosac_toolkit.validation.clocks import clock_warnings
 from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.pose_frames import find_frames
@@ -54,16 +55,17 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
 
 
 def check_clock_and_frames(recording: Recording, robot: Robot) -> None:
-    """Refuse poses whose clock is apart from that of the readings, and poses in turned frames.
+    """Refuse poses that are repeated, of another clock than the readings, or in turned frames.
 
     Args:
         recording: As it was recorded.
         robot: Before the calibration.
 
     Raises:
-        MixUp: Names the clock or the frame.
+        MixUp: Names the pose, the clock or the frame.
     """
     material = calibrated(recording, robot)
+    _refuse(list(find_repeated_pose(material, robot)))
     _refuse(list(clock_warnings(material, robot, ("poses",), delay_max=DELAY_MAX_S)))
     if material.metadata.length_kind != "unstrained":
         return

@@ -21,6 +21,11 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.broken_channels import (
+    find_repeated_pose,
+    find_slip,
+    find_wrong_ratios,
+)
 from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, clock_warnings
 from carosac_toolkit.validation.pose_frames import RestDoubt, find_frames
 from carosac_toolkit.validation.scores import rotation_angle
@@ -123,7 +128,7 @@ def find_contradictions(
     channels: Sequence[str] = ALIGNED_CHANNELS,
     doubt: RestDoubt | None = None,
 ) -> tuple[str, ...]:
-    """List evidence that clocks are apart, or lengths and poses mixed up or in other frames.
+    """List evidence that a channel is broken, clocks are apart, or lengths and poses do not fit.
 
     Only the first kind that is found is named, as each of them hides the next.
 
@@ -139,17 +144,23 @@ def find_contradictions(
     Returns:
         Sentences; none where nothing contradicts the robot.
     """
-    apart = tuple(clock_warnings(recording, robot, channels))
-    if apart:
-        return apart
+    first = tuple(find_repeated_pose(recording, robot)) or tuple(
+        clock_warnings(recording, robot, channels)
+    )
+    if first:
+        return first
     mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
+    mixed = mixed or tuple(find_wrong_ratios(robot, length, pose))
     if recording.metadata.length_kind != "unstrained":
-        return mixed
+        return mixed or tuple(find_slip(robot, length, pose))
     found = find_frames(robot, length, pose, zeros_known=zeros_known, doubt=doubt)
     frames = () if found is None else tuple(found.sentences(robot))
     if mixed == (QUATERNION_ORDER_HINT,) and frames:  # half a turn about z looks alike
         return (*mixed, f"Otherwise: {frames[-1]}")
-    return frames if _only_far(mixed) and frames else mixed
+    named = frames if _only_far(mixed) and frames else mixed
+    if not named or (found is not None and found.only_moved and _only_far(mixed)):
+        return tuple(find_slip(robot, length, pose)) or named
+    return named
 
 
 def _only_far(sentences: tuple[str, ...]) -> bool:

@@ -27,6 +27,7 @@ RESTS_MIN = 4
 WORLD_TURN_MIN_RAD = 0.1  # [rad]: a smaller turn is a matter of calibration
 YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
+SAME_SPREAD_MIN_RAD = 0.01  # [rad] of attitudes of rest, of which a tracker sees some
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
 SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # a smaller shift is a matter of calibration
 SHIFT_COST_MIN = 14.16  # chi squared of three freedoms, at the chance of three sigmas
@@ -48,19 +49,51 @@ class PoseFrames:
             W, or not told.
         shift: What is to be added to turned positions [m], shape (3,); zero where they fit.
         body_turn: Rotation from P to the tracked body, shape (3, 3); identity where it is P.
+        inverted: True if the inverse orientations fit: those from W to P.
+        backward: True if the positions fit as well once the whole poses are inverted.
+        axes: Names of the measured axes, with their signs, that fit as x, y and z of W, where this
+            mirrors space: axes were exchanged, or a sign; empty where it does not.
+        unmeasured: True if orientations are all the same, though the platform must have turned.
     """
 
     world_turn: Array
     shift: Array
     body_turn: Array
+    inverted: bool = False
+    backward: bool = False
+    axes: tuple[str, ...] = ()
+    unmeasured: bool = False
 
     @property
     def turned(self) -> bool:
-        """True if the world frame or the tracked body is another one."""
-        return _angle(self.world_turn) > 0.0 or _angle(self.body_turn) > 0.0
+        """True if orientations or axes are not those of the platform in W."""
+        other = self.inverted or self.unmeasured or bool(self.axes)
+        return other or _angle(self.world_turn) > 0.0 or _angle(self.body_turn) > 0.0
+
+    @property
+    def only_moved(self) -> bool:
+        """True if a shift is all that is told."""
+        return bool(self.shift.any()) and not self.turned
 
     def sentences(self, robot: Robot) -> Iterator[str]:
         """Name the frames that are not those of the robot."""
+        if self.backward:
+            yield "Poses fit once inverted: they are those of W in the platform frame."
+        elif self.inverted:
+            yield (
+                "Orientations fit once inverted: they are to be those from the platform frame to "
+                "W; conjugate the quaternions (w, -x, -y, -z)."
+            )
+        if self.unmeasured:
+            yield (
+                "The orientation is the same at all times, though the platform turns as its cables "
+                "are wound: it was not measured."
+            )
+        if self.axes:
+            yield (
+                f"Positions fit if ({', '.join(self.axes)}) of the measured ones are x, y and z of "
+                f"W of robot {robot.name}: axes are exchanged, or a sign."
+            )
         world = Rotation.from_matrix(self.world_turn).as_rotvec()
         body = Rotation.from_matrix(self.body_turn).as_rotvec()
         moved, shifted = _components(self.shift), bool(self.shift.any())
@@ -122,6 +155,17 @@ def find_frames(
     position, rotation = pose.position[some][good], pose.rotation[some][good]
     rests, attitudes = rest.position[good], rest.rotation[good]
     ratios = Scales(robot).ratios
+    inverted, unmeasured = _explained_by_inverse(rotation, attitudes), _same(rotation, attitudes)
+    backward = False
+    if inverted:
+        rotation = rotation.swapaxes(1, 2)
+        other = -np.einsum("sij,sj->si", rotation, position)
+        missed = [float(np.linalg.norm(each - rests, axis=1).mean()) for each in (position, other)]
+        backward = missed[1] < LEFT_SHARE_MAX * missed[0]
+        position = other if backward else position
+    axes = _mirroring_axes(position, rests)
+    if axes:
+        return PoseFrames(world_turn=np.eye(3), shift=np.zeros(3), body_turn=np.eye(3), axes=axes)
     by_attitudes = _mean_rotation(attitudes @ rotation.swapaxes(1, 2))
     world = _turn_of_world(position, rests, by_attitudes, WIDTH_MIN.of(ratios))
     body = _mean_rotation((world @ rotation).swapaxes(1, 2) @ attitudes)
@@ -142,7 +186,56 @@ def find_frames(
         far = _shows_shift(misfit, lambda rows: doubt(compared[rows]), least)
     if not far:
         shift = np.zeros(3)
-    return PoseFrames(world_turn=world, shift=shift, body_turn=body)
+    return PoseFrames(
+        world_turn=world,
+        shift=shift,
+        body_turn=body,
+        inverted=inverted,
+        backward=backward,
+        unmeasured=unmeasured,
+    )
+
+
+def _mirroring_axes(position: Array, rests: Array) -> tuple[str, ...]:
+    """Return which measured axes fit x, y and z of W, where these mirror space; else nothing.
+
+    Positions near a plane fit as well mirrored at it: they must spread in all directions.
+    """
+    measured, wanted = position - position.mean(axis=0), rests - rests.mean(axis=0)
+    left, _, right = np.linalg.svd(wanted.T @ measured)
+    mirror = left @ right
+    if np.linalg.det(mirror) > 0.0 or np.abs(mirror).max(axis=1).min() < AXIS_COSINE_MIN:
+        return ()
+    turn = left @ np.diag([1.0, 1.0, -1.0]) @ right
+    proper, mirrored = (
+        float(np.sqrt(((wanted - measured @ each.T) ** 2).sum(axis=1).mean()))
+        for each in (turn, mirror)
+    )
+    if mirrored >= LEFT_SHARE_MAX * proper:
+        return ()
+    main = np.abs(mirror).argmax(axis=1)
+    signs = np.sign(mirror[np.arange(3), main])
+    return tuple(
+        f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for k, sign in zip(main, signs, strict=True)
+    )
+
+
+def _explained_by_inverse(rotation: Array, attitudes: Array) -> bool:
+    """Return whether inverse orientations fit far better than those that were measured."""
+    before, after = (
+        float(np.sqrt((Rotation.from_matrix(each @ attitudes).magnitude() ** 2).mean()))
+        for each in (rotation.swapaxes(1, 2), rotation)
+    )
+    return before > WORLD_TURN_MIN_RAD and after < LEFT_SHARE_MAX * before
+
+
+def _same(rotation: Array, attitudes: Array) -> bool:
+    """Return whether orientations are all the same, where the attitudes of rest differ."""
+    if len(rotation) < 2 or np.ptp(rotation, axis=0).max() > 0.0:
+        return False
+    mean = _mean_rotation(attitudes)
+    spread = Rotation.from_matrix(mean.T @ attitudes).magnitude()
+    return bool(np.sqrt((spread**2).mean()) > SAME_SPREAD_MIN_RAD)
 
 
 def _shows_shift(misfit: Array, doubt: RestDoubt, least: float) -> bool:
