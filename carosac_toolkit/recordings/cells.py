@@ -22,6 +22,7 @@ from carosac_toolkit.recordings.columns import (
 from carosac_toolkit.recordings.poses import UNIT_NORM_TOLERANCE
 from carosac_toolkit.recordings.table import FAULTS_SHOWN, Column, Faults, Mask, Table
 
+OUT_OF_ORDER_NAMED_MAX = 3  # times; more are a file that is not sorted, or of several runs
 Cell = tuple[int, int, Any]  # row, index of the column, content
 
 
@@ -49,10 +50,21 @@ class Cells:
         bad = np.flatnonzero(~np.isfinite(time))
         self._note(((i, time[i] if filled[i] else "nothing", "a finite time") for i in bad), bad)
         if not len(bad):
-            bad = np.flatnonzero(np.diff(time) <= 0) + 1
+            self._check_order(time)
+        return time
+
+    def _check_order(self, time: Array) -> None:
+        """Note times that do not increase; many of them are one fault."""
+        bad = np.flatnonzero(np.diff(time) <= 0) + 1
+        if len(bad) <= OUT_OF_ORDER_NAMED_MAX:
             order = ((i, time[i], f"> {time[i - 1]}, the time of the row before") for i in bad)
             self._note(order, bad)
-        return time
+            return
+        self._faults.add([
+            f"column {self.written[TIME_COLUMN]!r}: got {len(bad)} of {len(time)} times that are "
+            f"not above the one before, the first in {self._table.row_name(int(bad[0]))}; allowed: "
+            "rows sorted by time, of one run"
+        ])  # fmt: skip
 
     def samples(self, names: tuple[str, ...]) -> tuple[Mask, Array]:
         """Return the rows in which a channel has a sample, and its samples, shape (K, columns).

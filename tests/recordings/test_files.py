@@ -225,6 +225,9 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
         (HEADER + "\n0,7,8\n0.2,7,8\n0.1,7,8\n",
          "row 3 (line 4), column 'time_s': got 0.1; allowed: > 0.2, the time of the row before"),
         (HEADER + "\n0,7,8\n0,7,8\n", "column 'time_s': got 0.0; allowed: > 0.0"),
+        (HEADER + 2 * "\n4,7,8\n3,7,8\n2,7,8\n1,7,8",
+         "1 fault\n  column 'time_s': got 6 of 8 times that are not above the one before, the "
+         "first in row 2 (line 3); allowed: rows sorted by time, of one run"),
         (HEADER + "\n,7,8\n", "row 1 (line 2), column 'time_s': got nothing; allowed: a finite"),
         (HEADER + "\n0,,\n", "the length columns are empty"),
         (HEADER + "\n0,7,-8\n", "unstrained_length[0, 1]: got -8.0 m; allowed: > 0 m"),
@@ -339,7 +342,10 @@ def test_the_scampi_layout_is_read(tmp_path):
         ({"ef_poses": np.zeros((4, 7))}, r"'ef_poses': got shape \(4, 7\); allowed: \(5, 7\)"),
         ({"ef_poses": np.zeros((5, 7))}, r"got norm 0; allowed: within"),
         ({"pulley2_poses": None}, r"pulleys .* allowed: 1 to 4"),
-        ({"time_stamps": np.zeros((5, 5))}, r"row 2, column 'time_s': got 0.0; allowed: > 0.0"),
+        (
+            {"time_stamps": np.zeros((5, 5))},
+            r"'time_s': got 4 of 5 times that are not above the one ",
+        ),
     ],
 )
 def test_faults_of_the_scampi_layout(tmp_path, changes, message):
