@@ -49,6 +49,7 @@ from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.scales import Scales
@@ -75,7 +76,7 @@ APPROACH_RUNS_MAX = 12  # recordings that lead near to the robot, before all tel
 # How fast they die out does not depend on their phase, so their damping is kept.
 VIBRATING = ("axial_stiffness",)
 MODEL_ERROR_RUNS_MAX = 10  # recordings that tell what a model misses
-NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed
+NEES_MAX = 4.0  # of what was kept back, where errors are twice what is claimed; 1 / 4 is half
 MOTION_MIN = Scaled(5.0, "s", most=5.0)  # of motion, below which no dynamics are identified
 START_DISTANCE_MAX = Scaled(0.5, "m")
 # A platform that moves by less does not show its dynamics; sensors do not shrink with it.
@@ -440,7 +441,7 @@ def _identify(
         warnings=(
             *_warnings(fit, scored, against_mean),
             *_left_out(unfollowed),
-            *_overconfident(judged, scored),
+            *_dishonest(judged, scored),
             *_turned_body(told_runs, told_after),
             *_moved_point(robot, told_runs, told_after),
             *(() if compared is None else compared.warnings()),
@@ -673,8 +674,7 @@ def _check_order(
         doubt=lambda rows: rest_doubt(part.recording, unknowns, poses.index[rows]),
     )  # fmt: skip
     if mix_ups:
-        found = "'carosac calibrate lengths' finds offsets, swapped cables and wrong units."
-        raise CarosacError(f"{part.name}: {' '.join(mix_ups)} {found}")
+        raise CarosacError(f"{part.name}: {' '.join(mix_ups)}")
 
 
 def _check_start(name: str, robot: Robot, errors: Array) -> None:
@@ -786,14 +786,21 @@ def _left_out(names: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _overconfident(judged: JudgedError | None, test: ScoredRange | None) -> Iterator[str]:
+def _dishonest(judged: JudgedError | None, test: ScoredRange | None) -> Iterator[str]:
     """Warn of a robot file whose claims do not hold on what was kept back."""
-    if judged is not None and test is not None and judged.nees > NEES_MAX:
-        yield (
-            "estimators would claim too much by the identified robot: what was kept back is missed "
-            f"by {np.sqrt(judged.nees):.1f} times what the fitted samples say. It shows an effect "
-            "that they do not, or that no fitted parameter has; see --candidates and --free"
-        )
+    if judged is None or test is None or 1.0 / NEES_MAX <= judged.nees <= NEES_MAX:
+        return
+    much, times = judged.nees > NEES_MAX, plain(np.sqrt(judged.nees), 2)
+    yield (
+        f"estimators would claim too {'much' if much else 'little'} by the identified robot: what "
+        f"was kept back is missed by {times} times what the fitted samples say. "
+    ) + (
+        "It shows an effect that they do not, or that no fitted parameter has; see --candidates "
+        "and --free"
+        if much
+        else "Some of these may be wrong, as where a tracker errs or a cable slips: look at the "
+        "errors over time in the report, and leave them out"
+    )
 
 
 def _fitted(runs: Sequence[_Run], errors: Sequence[Array]) -> Array:

@@ -15,6 +15,7 @@ from calibration.identification.sway import FreeSway
 from calibration.result import CalibrationResult
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.robot.model_error import ModelError
 from carosac_toolkit.robot.parameter_names import field_of
 from carosac_toolkit.robot.robot import Robot
@@ -395,12 +396,15 @@ class Identification(CalibrationResult):
         if error is None:
             return ["what the model misses could not be told: estimators keep their own guesses"]
         where = "fitted" if self.test is None else "kept back"
+        assert self.nees is not None, "it is of these errors"
         return [
-            f"what the model misses, one sigma, for the estimators: {error.length * 1e3:.2g} mm of "
-            f"each cable, {error.force:.2g} N on the platform, {error.mass:.2g} of its mass, "
-            f"accelerations of {error.acceleration:.2g} m/s^2/sqrt(Hz); poses are noisy by "
-            f"{error.position * 1e3:.2g} mm and {np.degrees(error.rotation):.2g} degrees (NEES "
-            f"{self.nees:.2g} on the samples that were {where}, 1 is honest)"
+            f"what the model misses, one sigma, for the estimators: {plain(error.length * 1e3, 2)} "
+            f"mm of each cable, {plain(error.force, 2)} N on the platform, {plain(error.mass, 2)} "
+            f"of its mass, accelerations of {plain(error.acceleration, 2)} m/s^2/sqrt(Hz); poses "
+            f"are noisy by {plain(error.position * 1e3, 2)} mm and "
+            f"{plain(np.degrees(error.rotation), 2)} degrees (NEES, the mean square of errors over "
+            f"what is claimed, is {plain(self.nees, 2)} on the samples that were {where}: 1 is "
+            "honest, more are too bold claims)"
         ]
 
     def _excess(self) -> str:

@@ -108,7 +108,7 @@ class PoseFrames:
                 f"Positions are {np.linalg.norm(self.shift):.2f} m from where the lengths hold the "
                 f"platform: they fit once moved by {moved} m in W. Is the tracked point the origin "
                 "of the platform frame, is the frame of the poses W, and are the zeros of the "
-                "lengths right?"
+                "lengths right ('carosac calibrate lengths' finds them)?"
             )
         if body.any():
             yield (

@@ -208,14 +208,20 @@ def test_another_number_of_cables_is_refused(run):
         identify(run.recording, ct.load_robot("cogiro"), FEW, train=(0, 200))
 
 
-@pytest.mark.parametrize(("nees", "warned"), [(1.9, 0), (19.0, 1)])
-def test_claims_that_do_not_hold_on_what_was_kept_back_are_warned_of(nees, warned):
+@pytest.mark.parametrize(
+    ("nees", "said"),
+    [
+        (1.9, ""),
+        (0.3, ""),
+        (19.0, "claim too much by the identified robot: what was kept back is missed by 4.4 times"),
+        (0.04, "claim too little by the identified robot: what was kept back is missed by 0.2 tim"),
+    ],
+)
+def test_claims_that_do_not_hold_on_what_was_kept_back_are_warned_of(nees, said):
     scores = score_poses(np.ones((10, 3)), np.ones(10))
     kept = ScoredRange(start=0, stop=10, runs=1, before=scores, after=scores)
     usual = dict.fromkeys(MODEL_ERROR_UNITS, 1e-3)
     judged = JudgedError(error=ModelError(**usual), nees=nees)
-    lines = list(procedure._overconfident(judged, kept))
-    assert len(lines) == warned
-    assert not list(procedure._overconfident(judged, None))
-    if warned:
-        assert "missed by 4.4 times what the fitted samples say" in lines[0]
+    lines = list(procedure._dishonest(judged, kept))
+    assert len(lines) == bool(said) and said in "".join(lines)
+    assert not list(procedure._dishonest(judged, None))
