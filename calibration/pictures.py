@@ -168,7 +168,7 @@ def draw_learnt(robot: str, estimate: ParameterEstimate) -> Figure:
     place = np.arange(len(names))
     first.barh(place, left, color=COLOR_AFTER, alpha=0.75)
     first.set(xlabel="1 sigma after / before [-]", ylim=(len(names) - 0.4, -0.6))
-    first.set_xlim(0.0, max(1.05, float(left.max(initial=0.0))))
+    first.set_xlim(0.0, 1.05 * max(1.0, float(left.max(initial=0.0))))
     first.set_yticks(place, names)
     second.barh(place, moved, color=COLOR_OUTLIER, alpha=0.75)
     second.set(xlabel="after minus before, in sigmas before [-]")
