@@ -50,9 +50,15 @@ def test_load_cells_refuse_a_home_that_they_contradict_whoever_confirms_it():
             assert plc.say("place {:g} {:g} {:g}".format(*(home + place))) == "ok"
             time.sleep(0.1)
             refused(plc, home, "home: .* or a person's word")
+
+
+@pytest.mark.parametrize("times", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_load_cells_do_not_contradict_the_right_home(times):
+    with plc_process("--watchdog", "0.6") as plc:
+        home = np.array(plc.robot.home_position)
         assert plc.say("place {:g} {:g} {:g}".format(*home)) == "ok"
         time.sleep(0.1)
-        for _ in range(20):
+        for _ in range(times):
             guard = guard_at(plc, home)
             guard.connect()
             assert guard.state is DriveState.ENABLED
