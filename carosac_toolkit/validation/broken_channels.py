@@ -102,7 +102,7 @@ def _named(ratio: float) -> str:
 
 
 def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
-    """Return that a length jumps against its distance, and stays apart, while another one fits.
+    """Return that one length jumps against its distance, and stays apart, while the others fit.
 
     Args:
         robot: Robot description, n cables.
@@ -120,7 +120,8 @@ def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
         after = excess[row + 1 : row + 1 + SLIP_SAMPLES]
         jump = np.abs(np.median(after, axis=0) - np.median(before, axis=0))
         lasts = jump[cable] > SLIP_LEFT_MIN * steps[row, cable]
-        if lasts and (steps[row] < STEADY_SHARE_MAX * steps[row, cable]).any():
+        others = np.delete(steps[row], cable)
+        if lasts and (others < STEADY_SHARE_MAX * steps[row, cable]).all():
             yield (
                 f"Length {cable + 1} jumps by {steps[row, cable]:.2g} m against the measured poses "
                 f"at sample {row + 1} of those that have one, and stays apart: did the cable slip, "
