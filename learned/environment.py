@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -58,6 +58,7 @@ class EnvironmentSettings:
             in real time; see `learned.actions.Push`.
         correction_memory: Time in which that fades to 1 / e [s].
         lost: Distance from the target beyond which an episode is cut short [m]; None: never.
+        truth: Whether critics also see what would be observed if beliefs were true.
     """
 
     world: WorldName = "no_sag"
@@ -75,6 +76,7 @@ class EnvironmentSettings:
     correction: float = 0.0
     correction_memory: float = 4.0
     lost: float | None = None
+    truth: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
@@ -107,6 +109,8 @@ class EnvironmentSettings:
         if (self.world == "realtime") != (self.path.period is not None):
             allowed = "a number of seconds with world 'realtime', none with the others"
             raise InvalidField("path.period", self.path.period, allowed)
+        if self.truth and self.world != "realtime":
+            raise InvalidField("truth", self.truth, "False, but in world 'realtime'")
         if self.moving.estimator is not None and self.world != "realtime":
             allowed = "None, but in world 'realtime'"
             raise InvalidField("moving.estimator", repr(self.moving.estimator), allowed)
@@ -136,6 +140,8 @@ class StepResult:
         truncated: Episodes that were cut short: at their last step, lost, or failed, shape (B,).
         transition: All quantities behind the reward.
         reached: Where the platforms were at the end of the step.
+        final_truth: What `final_observation` would be if beliefs were true, shape (B, d); None
+            where critics do not see it.
     """
 
     observation: Array
@@ -145,6 +151,7 @@ class StepResult:
     truncated: NDArray[np.bool_]
     transition: Transition
     reached: WorldStates
+    final_truth: Array | None
 
 
 class CableEnvironment:
@@ -187,6 +194,8 @@ class CableEnvironment:
         self._lasting_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
         self._reached: WorldStates | None = None
+        self._watch_drives: Callable[[int, int], None] = lambda step, of: None
+        self._seed = seed
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
         self.observation_size = observe(settings.observation, shapes, self.scales).shape[1]
 
@@ -200,9 +209,24 @@ class CableEnvironment:
         """The targets of the present episodes."""
         return tuple(self._paths)
 
+    @property
+    def reached(self) -> WorldStates:
+        """Where the platforms are.
+
+        Raises:
+            InvalidField: They were not put anywhere yet.
+        """
+        if self._reached is None:
+            raise InvalidField("environment", "not reset yet", "reset before it is looked at")
+        return self._reached
+
     def watch_paths(self, watch: Callable[[int], None] | None) -> None:
         """Call something with the number of paths after each that is drawn."""
         self._pool.watch = watch
+
+    def watch_drives(self, watch: Callable[[int, int], None]) -> None:
+        """Call something with the steps of drives behind a modelled estimator, done and in all."""
+        self._watch_drives = watch
 
     def first_paths(self, count: int) -> list[TargetPath]:
         """Return the first paths of the pool, all different."""
@@ -219,6 +243,13 @@ class CableEnvironment:
         """
         if paths is not None and len(paths) != self.size:
             raise InvalidField("paths", f"{len(paths)} paths", f"{self.size}, one for each row")
+        if isinstance(self.worlds, MovingWorlds) and self.worlds.lacks_errors:
+            from learned.belief_drives import learn_belief_errors  # which drives in these worlds
+
+            self.worlds.take_errors(learn_belief_errors(
+                self.robot, self.settings, self._seed, device=self._device,
+                watch=self._watch_drives,
+            ))  # fmt: skip
         self._paths = paths or [self._draw() for _ in range(self.size)]
         return self._begin(np.arange(self.size))
 
@@ -242,6 +273,7 @@ class CableEnvironment:
         self._asked = np.array(asked)
         self._reached = reached
         final = self._observe(np.arange(self.size))
+        final_truth = self.truth
         over = (self._step >= self.settings.path.steps) | self._is_lost(transition)
         truncated = over | reached.failed
         ended = np.flatnonzero(truncated)
@@ -253,8 +285,19 @@ class CableEnvironment:
         return StepResult(
             observation=observation, final_observation=final, reward=reward,
             failed=reached.failed, truncated=truncated, transition=transition,
-            reached=reached,
+            reached=reached, final_truth=final_truth,
         )  # fmt: skip
+
+    @property
+    def truth(self) -> Array | None:
+        """What the last observation would be if beliefs were true, shape (B, d).
+
+        None where critics do not see it. Means of errors are those of the belief.
+        """
+        if not self.settings.truth:
+            return None
+        look = self._look(replace(self.reached, belief=None))
+        return observe(self.settings.observation, look, self.scales)
 
     def _is_lost(self, transition: Transition) -> NDArray[np.bool_]:
         """Return where the platform is too far from the target to learn anything from."""

@@ -12,18 +12,24 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.base.scaled import Scaled, resolved
-from carosac_toolkit.drivers.sensors import check_suite
-from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.drivers.sensors import SensorSettings, check_suite
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.robot import Robot
+from learned.belief_errors import (
+    ERROR_SIZE,
+    BeliefErrorModel,
+    BeliefErrors,
+    erring,
+    reach_of,
+)
 from learned.sensing import Sensing
 from learned.worlds import WorldStates
 from sim_warp import Simulator
 
 START_ATTEMPTS_MAX = 10  # to find a start near a position at which a plant can rest
-ESTIMATOR_FIELDS = ("estimated", "suite")  # settings that mean nothing without one
+ESTIMATOR_FIELDS = ("estimated", "suite", "modelled")  # settings that mean nothing without one
 RETREAT_RATIO = 0.1  # share of the way home that each attempt goes
 
 
@@ -45,6 +51,8 @@ class MovingSettings:
             `simulator`: their encoders and belief err as these do.
         suite: Sensors that the estimator measures with, one of
             `carosac_toolkit.drivers.sensors.SENSOR_SUITES`.
+        modelled: Whether beliefs err as those of the estimator do on the average, instead of being
+            its own: by a model of `learned.belief_errors`, which takes microseconds.
     """
 
     cables: Literal["particles", "catenary"] = "catenary"
@@ -55,6 +63,7 @@ class MovingSettings:
     estimator: str | None = None
     estimated: float = 1.0
     suite: str = "lengths+imu"
+    modelled: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -81,7 +90,9 @@ class MovingWorlds:
         self, robot: Robot, settings: MovingSettings, period: float, size: int, seed: int,
         device: str = "cpu",
     ) -> None:  # fmt: skip
-        settings = resolved(settings, Scales(robot).ratios)
+        ratios = Scales(robot).ratios
+        settings = resolved(settings, ratios)
+        self._encoder_bias = resolved(SensorSettings(), ratios).encoder_bias
         self.robot = robot
         self.size = size
         self._settings = settings
@@ -94,12 +105,27 @@ class MovingWorlds:
         self._rng = np.random.default_rng([seed, 11])
         self._position_bias = np.zeros((size, 3))
         self._length_bias = np.zeros((size, robot.n))
+        self._seed = seed
         self._sensing: Sensing | None = None
+        self._errors: BeliefErrors | None = None
+        self._modelled = np.arange(0)  # worlds
         if settings.estimator is not None:
             count = max(1, round(settings.estimated * size))
-            self._sensing = Sensing(
-                robot, self._simulator, settings.suite, settings.estimator, count, seed
-            )
+            if settings.modelled:
+                self._modelled = np.arange(count)
+            else:
+                self._sensing = Sensing(
+                    robot, self._simulator, settings.suite, settings.estimator, count, seed
+                )
+
+    @property
+    def lacks_errors(self) -> bool:
+        """True if beliefs are to err by a model that is not there yet."""
+        return len(self._modelled) > 0 and self._errors is None
+
+    def take_errors(self, model: BeliefErrorModel) -> None:
+        """Let beliefs err by a model from the next reset on."""
+        self._errors = BeliefErrors(model, len(self._modelled), self.robot.n, self._seed)
 
     def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Hang on the equilibrium lengths at positions, with some speed; biases are drawn anew.
@@ -115,10 +141,15 @@ class MovingWorlds:
         if sensing is not None:
             sensing.renew(rows)
             self._length_bias[: sensing.count] = -sensing.encoder_bias
+        mine = rows[rows < len(self._modelled)]
+        if len(mine):
+            self._length_bias[mine] = self._normal(self._encoder_bias, (len(mine), self.robot.n))
         length = self._lengths(rows, position)
         self._simulator.reset(unstrained_length=length, twist=twist, worlds=rows)
         if sensing is not None:
             sensing.begin(rows)
+        if self._errors is not None and len(mine):
+            self._errors.begin(mine, *self._motion())
         return self._reached()
 
     def advance(self, length: Array) -> WorldStates:
@@ -128,6 +159,8 @@ class MovingWorlds:
             self._simulator.step(asked, self._period)
         else:
             self._sensing.advance(length, asked, self._period)
+        if self._errors is not None:
+            self._errors.advance(*self._motion())
         return self._reached()
 
     def hung(self, length: Array) -> statics.Equilibrium:
@@ -140,6 +173,7 @@ class MovingWorlds:
         """Return simulator, biases and their source, sensors and beliefs."""
         return {
             "sensing": None if self._sensing is None else self._sensing.state(),
+            "errors": None if self._errors is None else self._errors.state(),
             "simulator": self._simulator.save(),
             "position_bias": self._position_bias.copy(),
             "length_bias": self._length_bias.copy(),
@@ -154,6 +188,10 @@ class MovingWorlds:
         self._rng.bit_generator.state = state["rng"]
         if self._sensing is not None:
             self._sensing.restore(state["sensing"])
+        if state["errors"] is not None:
+            self.take_errors(state["errors"]["model"])
+            assert self._errors is not None
+            self._errors.restore(state["errors"])
 
     def _normal(self, sigma: float, shape: tuple[int, int]) -> Array:
         return sigma * self._rng.standard_normal(shape)
@@ -172,12 +210,21 @@ class MovingWorlds:
             where[bad] += RETREAT_RATIO * (self.robot.home_position - where[bad])
         raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
 
+    def _motion(self) -> tuple[Array, Array]:
+        """Return twists and reaches of the worlds whose beliefs err by a model."""
+        state, rows = self._simulator.state.numpy(), self._modelled
+        length = state.unstrained_length[rows] - self._length_bias[rows]
+        return state.twist[rows], reach_of(
+            self.robot, state.position[rows], state.rotation[rows], length
+        )
+
     def _reached(self) -> WorldStates:
         state = self._simulator.state.numpy()
-        belief = Belief(
-            time=state.time, position=state.position + self._position_bias,
-            rotation=state.rotation, twist=state.twist,
-        )  # fmt: skip
+        error = np.zeros((self.size, ERROR_SIZE))
+        error[:, :3] = self._position_bias
+        if self._errors is not None:
+            error[self._modelled] = self._errors.error
+        belief = erring(state.time, state.position, state.rotation, state.twist, error)
         return WorldStates(
             position=state.position, rotation=state.rotation, twist=state.twist,
             length=state.unstrained_length - self._length_bias,

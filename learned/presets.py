@@ -118,7 +118,9 @@ class Stage:
     td3: Td3Settings
 
     def __post_init__(self) -> None:
-        """Refuse a critic that does not know the reward."""
+        """Refuse a critic that does not know the reward, or that cannot see the truth."""
+        if self.environment.truth and self.td3.critic != "value":
+            raise InvalidField("critic", repr(self.td3.critic), "'value', as critics see the truth")
         if not self.td3.values_one_step:
             return
         environment = self.environment

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import TD3
+from stable_baselines3.td3.policies import TD3Policy
 
+from learned.environment import CableEnvironment
 from learned.exploration import DecayingNoise
 from learned.metric_policy import MetricPolicy
 from learned.observation import slices
 from learned.presets import Stage, Td3Settings
 from learned.relabelling import RelabellingBuffer
+from learned.truth_policy import TruthPolicy
 from learned.vector_environment import CableVecEnv
 
 ACTIVATION_MODULES = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
@@ -63,14 +66,14 @@ def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
     target, span = parts.get("target"), cables.reward.span
     buffer = _relabelling(stage, environment, target, span)
     model = StagedTd3(
-        MetricPolicy if settings.critic == "metric" else "MlpPolicy", environment,
+        _policy(stage), environment,
         learning_rate=settings.actor_rate, buffer_size=settings.buffer_size,
         learning_starts=settings.random_steps, batch_size=settings.batch_size,
         gamma=settings.discount, tau=settings.target_rate, train_freq=1,
         gradient_steps=settings.gradient_steps,
         target_policy_noise=settings.target_noise,
         target_noise_clip=NOISE_CLIP_RATIO * settings.target_noise,
-        action_noise=noise, policy_kwargs=_networks(stage, target, span), seed=seed, device="cpu",
+        action_noise=noise, policy_kwargs=_networks(stage, cables, target), seed=seed, device="cpu",
         stats_window_size=max(100, settings.environments),  # all episodes that end in one step
         replay_buffer_class=RelabellingBuffer if buffer else None,
         replay_buffer_kwargs=buffer or None,
@@ -90,7 +93,14 @@ def _quieten(model: StagedTd3) -> None:
     model.actor_target.load_state_dict(model.actor.state_dict())
 
 
-def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]:
+def _policy(stage: Stage) -> str | type[TD3Policy]:
+    """Return the kind of the policy."""
+    if stage.environment.truth:
+        return TruthPolicy
+    return MetricPolicy if stage.td3.critic == "metric" else "MlpPolicy"
+
+
+def _networks(stage: Stage, cables: CableEnvironment, target: slice | None) -> dict[str, Any]:
     """Return the arguments of the policy: sizes, activation, critics."""
     settings = stage.td3
     policy: dict[str, Any] = {
@@ -100,7 +110,9 @@ def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]
     }
     if settings.critic == "metric":
         scale = stage.environment.reward.fit_scale
-        policy["metric"] = {"target": target, "scale": scale, "span": span}
+        policy["metric"] = {"target": target, "scale": scale, "span": cables.reward.span}
+    if stage.environment.truth:
+        policy["observed"] = cables.observation_size
     return policy
 
 

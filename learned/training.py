@@ -197,6 +197,7 @@ class _Run:
         )  # fmt: skip
         cables.watch_paths(partial(self._tell_of_paths, "the training"))
         self.test.watch_paths(partial(self._tell_of_paths, "the learning curve"))
+        cables.watch_drives(self._tell_of_drives)
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
         self.rows: list[dict[str, float]] = []
@@ -207,6 +208,10 @@ class _Run:
     def _tell_of_paths(self, where: str, count: int) -> None:
         """Tell how many paths are drawn."""
         self.tell(f"{counted(count, 'path')} of {where} drawn")
+
+    def _tell_of_drives(self, step: int, of: int) -> None:
+        """Tell how far the drives behind the estimator are."""
+        self.tell(f"step {step} of {of} behind the estimator, to learn how it errs")
 
     @property
     def spent(self) -> float:
@@ -303,8 +308,10 @@ class _Run:
         return path
 
     def act(self, observation: Array) -> Array:
-        """Act by the policy without noise."""
-        action, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
+        """Act by the policy without noise; it reads no truth, so that any stands there."""
+        seen = np.zeros((len(observation), self.model.observation_space.shape[0]), np.float32)
+        seen[:, : observation.shape[1]] = observation
+        action, _ = self.model.predict(seen, deterministic=True)
         return action.astype(np.float64)
 
     def _keep_episodes(self) -> None:
@@ -388,7 +395,7 @@ def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
     """
     if settings.path.period is not None:
         return replace(
-            settings, lost=None, moving=settings.moving.without_estimator(),
+            settings, lost=None, truth=False, moving=settings.moving.without_estimator(),
             path=replace(settings.path, pool=TEST_PATHS),
         )  # fmt: skip
     return replace(settings, path=replace(settings.path, steps=TEST_SET_POINTS, pool=TEST_PATHS))

@@ -24,12 +24,15 @@ HISTORY_FIELDS = (
 # Fields that came later, with what trainings did before.
 LATER_FIELDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ((), {"changes": "", "device": "cpu"}),
-    (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
+    (
+        ("environment",),
+        {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0, "truth": False},
+    ),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
     (("environment", "units"), {"acceleration": 1.0}),
     (
         ("environment", "moving"),
-        {"estimator": None, "estimated": 1.0, "suite": "lengths+imu"},
+        {"estimator": None, "estimated": 1.0, "suite": "lengths+imu", "modelled": False},
     ),
     (("td3",), {"target_rate": 0.005}),
 )
@@ -38,7 +41,7 @@ SHARED_FIELDS = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
     ("environment", "action"), ("environment", "memory"), ("environment", "correction"),
-    ("environment", "correction_memory"),
+    ("environment", "correction_memory"), ("environment", "truth"),
     ("td3", "hidden"), ("td3", "activation"), ("td3", "critic"), ("td3", "critics"),
 )  # fmt: skip
 

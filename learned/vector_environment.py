@@ -15,6 +15,8 @@ from learned.rewards import lengths_misfit
 class CableVecEnv(VecEnv):
     """B environments that advance together; see `learned.environment.CableEnvironment`.
 
+    Where critics see the truth it stands behind the observation of the policy.
+
     Infos carry ``position`` and ``lengths_misfit`` (see `learned.rewards`) of each step, and, at
     the end of an episode, what stable-baselines3 asks for.
     """
@@ -30,7 +32,7 @@ class CableVecEnv(VecEnv):
         """Return the first observations, shape (B, d)."""
         self._total[:] = 0.0
         self._length[:] = 0
-        return self.environment.reset().astype(np.float32)
+        return _with(self.environment.reset(), self.environment.truth)
 
     def step_async(self, actions: Any) -> None:
         """Keep the actions."""
@@ -49,7 +51,7 @@ class CableVecEnv(VecEnv):
                 result.transition.position, misfit, result.failed, strict=True
             )
         ]
-        final = result.final_observation.astype(np.float32)
+        final = _with(result.final_observation, result.final_truth)
         for row in np.flatnonzero(done):
             infos[row] |= {
                 "terminal_observation": final[row],
@@ -58,7 +60,8 @@ class CableVecEnv(VecEnv):
             }
         self._total[done] = 0.0
         self._length[done] = 0
-        return result.observation.astype(np.float32), result.reward.astype(np.float32), done, infos
+        observation = _with(result.observation, self.environment.truth)
+        return observation, result.reward.astype(np.float32), done, infos
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes."""
@@ -101,5 +104,12 @@ class CableVecEnv(VecEnv):
 
 def spaces_of(environment: CableEnvironment) -> tuple[spaces.Box, spaces.Box]:
     """Return the spaces of observations and actions."""
-    observed = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
+    size = environment.observation_size * (2 if environment.settings.truth else 1)
+    observed = spaces.Box(-np.inf, np.inf, (size,), np.float32)
     return observed, spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
+
+
+def _with(observation: Any, truth: Any) -> Any:
+    """Return what critics see: observations (B, d), and the truth behind them."""
+    seen = observation if truth is None else np.hstack([observation, truth])
+    return seen.astype(np.float32)

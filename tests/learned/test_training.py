@@ -15,8 +15,8 @@ import torch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.similar import similar_robot
+from learned import belief_drives, training
 from learned import checkpoint as checkpoints
-from learned import training
 from learned.checkpoint import CHECKPOINT_FILE, read_checkpoint, write_checkpoint
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
@@ -38,6 +38,7 @@ FIT = replace(
 )
 SHORT = PathSettings(steps=30, pool=6)
 ESTIMATED = MovingSettings(estimator="dynamic_estimator", estimated=0.5)
+MODELLED = replace(ESTIMATED, modelled=True)
 STAGES = {
     "value": Stage(environment=EnvironmentSettings(path=SHORT), td3=TINY),
     "metric": Stage(
@@ -60,6 +61,14 @@ STAGES = {
         ),
         td3=TINY,
     ),
+    "modelled": Stage(
+        environment=EnvironmentSettings(
+            world="realtime", action="push", path=replace(SHORT, period=0.05), moving=MODELLED,
+            observation=("error", "velocity", "tilt"), reward=RewardSettings(terms=("tracking",)),
+            truth=True,
+        ),
+        td3=TINY,
+    ),
 }  # fmt: skip
 
 
@@ -68,6 +77,8 @@ def small(monkeypatch):
     monkeypatch.setattr(training, "TEST_PATHS", 2)
     monkeypatch.setattr(training, "TEST_SET_POINTS", 5)
     monkeypatch.setattr(training, "CURVE_INTERVAL_MIN", 80)
+    monkeypatch.setattr(belief_drives, "DRIVES", 20)
+    monkeypatch.setattr(belief_drives, "STEPS", 20)
 
 
 def job(kind="metric", **changes):
