@@ -219,7 +219,7 @@ def _fading_fit(x: Array, y: Array) -> Array:
 def _regression(known: Array, wanted: Array) -> tuple[Array, Array]:
     """Return coefficients (12, numbers) and the root (12, 12) of what is left."""
     found, *_ = np.linalg.lstsq(known, wanted)
-    return found.T, _root(wanted - known @ found, len(known) - known.shape[1])
+    return np.asarray(found.T), _root(wanted - known @ found, len(known) - known.shape[1])
 
 
 def _root(left: Array, freedom: int) -> Array:

@@ -309,8 +309,10 @@ class _Run:
 
     def act(self, observation: Array) -> Array:
         """Act by the policy without noise; it reads no truth, so that any stands there."""
-        seen = np.zeros((len(observation), self.model.observation_space.shape[0]), np.float32)
-        seen[:, : observation.shape[1]] = observation
+        count, size = observation.shape
+        total = size * (2 if self.job.stage.environment.truth else 1)
+        seen = np.zeros((count, total), np.float32)
+        seen[:, :size] = observation
         action, _ = self.model.predict(seen, deterministic=True)
         return action.astype(np.float64)
 

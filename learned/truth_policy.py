@@ -18,16 +18,14 @@ from stable_baselines3.td3.policies import Actor, TD3Policy
 class BelievingActor(Actor):
     """An actor that reads the first numbers of what critics see."""
 
-    def __init__(self, *args: Any, features_dim: int, observed: int, **kwargs: Any) -> None:
+    def __init__(self, *, observed: int, **kwargs: Any) -> None:
         """Make the network.
 
         Args:
-            args: Of stable-baselines3's actor.
-            features_dim: All numbers that critics see.
-            observed: How many of them it reads.
+            observed: How many numbers of those that critics see it reads.
             kwargs: Of stable-baselines3's actor.
         """
-        super().__init__(*args, features_dim=observed, **kwargs)
+        super().__init__(**(kwargs | {"features_dim": observed}))
         self._observed = observed
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
