@@ -188,10 +188,11 @@ class MovingWorlds:
         self._rng.bit_generator.state = state["rng"]
         if self._sensing is not None:
             self._sensing.restore(state["sensing"])
-        if state["errors"] is not None:
-            self.take_errors(state["errors"]["model"])
+        errors = state.get("errors")  # older checkpoints have none
+        if errors is not None:
+            self.take_errors(errors["model"])
             assert self._errors is not None
-            self._errors.restore(state["errors"])
+            self._errors.restore(errors)
 
     def _normal(self, sigma: float, shape: tuple[int, int]) -> Array:
         return sigma * self._rng.standard_normal(shape)

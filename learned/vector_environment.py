@@ -26,7 +26,11 @@ class CableVecEnv(VecEnv):
         self._action: Any = None
         self._total = np.zeros(environment.size)
         self._length = np.zeros(environment.size, dtype=np.int64)
-        super().__init__(environment.size, *spaces_of(environment))
+        observed, acted = spaces_of(environment)
+        if environment.settings.truth:
+            shape = (2 * environment.observation_size,)
+            observed = spaces.Box(-np.inf, np.inf, shape, np.float32)
+        super().__init__(environment.size, observed, acted)
 
     def reset(self) -> Any:
         """Return the first observations, shape (B, d)."""
@@ -104,8 +108,7 @@ class CableVecEnv(VecEnv):
 
 def spaces_of(environment: CableEnvironment) -> tuple[spaces.Box, spaces.Box]:
     """Return the spaces of observations and actions."""
-    size = environment.observation_size * (2 if environment.settings.truth else 1)
-    observed = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+    observed = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
     return observed, spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)
 
 

@@ -137,17 +137,23 @@ class JudgedError:
     Attributes:
         error: The sizes.
         nees: Mean normalised square per degree of freedom; 1 is honest.
+        trained_nees: The same of the residuals on which the sizes were found: below 1 where these
+            are smaller than what estimators claim at the least.
     """
 
     error: ModelError
     nees: float
+    trained_nees: float
 
 
 def judge_model_error(trained: Sequence[Residuals], kept: Sequence[Residuals]) -> JudgedError:
     """Find the sizes on some residuals, and judge them on others, or on these if there are none."""
     error = find_model_error(trained)
-    judged = kept or trained
-    counts = [len(run.errors) for run in judged]
-    return JudgedError(
-        error=error, nees=float(np.average([run.nees(error) for run in judged], weights=counts))
-    )
+    own = _mean_nees(trained, error)
+    return JudgedError(error=error, nees=_mean_nees(kept, error) if kept else own, trained_nees=own)
+
+
+def _mean_nees(runs: Sequence[Residuals], error: ModelError) -> float:
+    """Return the mean normalised square of all errors of some runs."""
+    counts = [len(run.errors) for run in runs]
+    return float(np.average([run.nees(error) for run in runs], weights=counts))

@@ -49,7 +49,6 @@ from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.scaled import Scaled, resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.scales import Scales
@@ -788,19 +787,21 @@ def _left_out(names: Sequence[str]) -> Iterator[str]:
 
 def _dishonest(judged: JudgedError | None, test: ScoredRange | None) -> Iterator[str]:
     """Warn of a robot file whose claims do not hold on what was kept back."""
-    if judged is None or test is None or 1.0 / NEES_MAX <= judged.nees <= NEES_MAX:
+    if judged is None or test is None:
         return
-    much, times = judged.nees > NEES_MAX, plain(np.sqrt(judged.nees), 2)
-    yield (
-        f"estimators would claim too {'much' if much else 'little'} by the identified robot: what "
-        f"was kept back is missed by {times} times what the fitted samples say. "
-    ) + (
-        "It shows an effect that they do not, or that no fitted parameter has; see --candidates "
-        "and --free"
-        if much
-        else "Some of these may be wrong, as where a tracker errs or a cable slips: look at the "
-        "errors over time in the report, and leave them out"
-    )
+    if judged.nees > NEES_MAX:
+        yield (
+            "estimators would claim too much by the identified robot: what was kept back is missed "
+            f"by {np.sqrt(judged.nees):.1f} times what the fitted samples say. It shows an effect "
+            "that they do not, or that no fitted parameter has; see --candidates and --free"
+        )
+    elif judged.nees < judged.trained_nees / NEES_MAX:
+        yield (
+            "estimators would claim too little by the identified robot: what was kept back is "
+            f"missed by {np.sqrt(judged.nees / judged.trained_nees):.2f} times what the fitted "
+            "samples say. Some of these may be wrong, as where a tracker errs or a cable slips: "
+            "look at the errors over time in the report, and leave them out"
+        )
 
 
 def _fitted(runs: Sequence[_Run], errors: Sequence[Array]) -> Array:

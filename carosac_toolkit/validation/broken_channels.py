@@ -8,26 +8,32 @@ like a robot, and is none.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.numbers import plain
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-FROZEN_TIME_MIN_S = 1.0  # [s]: the slowest of trackers give another pose in that time
-WOUND_MIN = Scaled(0.1, "m", most=0.1)  # by a cable, while a pose stays the same
+FROZEN_TIME_MIN_S = 1.0  # [s]: most trackers give another pose in that time
+FROZEN_OVER_USUAL_MIN = 3.0  # times as long as poses usually stay the same
+MOVED_MIN = Scaled(0.1, "m", most=0.1)  # by the lengths, while a pose stays the same
+RESTS = 10  # poses of rest that are solved for a time
 SLIP_MIN = Scaled(0.05, "m", most=0.05)  # a smaller jump may be a matter of noise and calibration
 SLIP_OVER_STEPS_MIN = 20.0  # times the median change between two samples
-SLIP_LEFT_MIN = 0.7  # of a jump, still there between the medians of the samples beside it
+SLIP_OVER_WAY_MIN = 0.25  # of what the distance changes meanwhile, as over a gap
+SLIP_LEFT_RANGE = (0.7, 1.4)  # of a jump, between the medians of the samples beside it
+SLIP_UNEXPLAINED_MAX = 0.5  # of how much farther the platform is from rest, without the jump
 SLIP_SAMPLES = 25  # on each side of a jump
 STEADY_SHARE_MAX = 0.5  # of a jump, in cables that did not slip
-RATIO_RANGE = (0.8, 1.25)  # of changes of a length over those of the distance: drums err by less
+RATIO_RANGE = (0.5, 2.0)  # of changes of a length over those of the distance: slack adds some
 RATIO_CORRELATION_MIN = 0.95
 RATIO_MOTION_MIN = 0.03  # standard deviation of the distance over its mean, that tells a ratio
 LIKELY_RATIOS = {3.281: "feet", 39.37: "inches", 100.0: "cm", 1000.0: "mm"}
@@ -35,34 +41,42 @@ LIKELY_WITHIN = 0.05  # of such a ratio
 
 
 def find_repeated_pose(recording: Recording, robot: Robot) -> Iterator[str]:
-    """Return that a pose is repeated while cables are wound, if one is.
+    """Return that a pose is repeated while the lengths move the platform, if one is.
+
+    A slack cable may be wound without moving it, and a slow tracker holds each pose for a while.
 
     Args:
-        recording: As calibrated.
+        recording: As calibrated; nothing is told where its lengths are relative.
         robot: With as many cables, n.
     """
     poses = recording.poses
-    if poses is None:
+    if poses is None or recording.metadata.length_kind != "unstrained":
         return
     both = np.hstack([poses.position, poses.quaternion])
     starts = np.flatnonzero(np.r_[True, (np.diff(both, axis=0) != 0.0).any(axis=1)])
     ends = np.r_[starts[1:], len(both)] - 1
-    least = WOUND_MIN.of(Scales(robot).ratios)
-    for start, end in zip(starts, ends, strict=True):
-        begin, until = poses.time[start], poses.time[end]
-        if until - begin < FROZEN_TIME_MIN_S:
-            continue
-        meanwhile = (recording.time >= begin) & (recording.time <= until)
-        if not meanwhile.any():
-            continue
-        way = np.ptp(recording.unstrained_length[meanwhile], axis=0)
-        if way.max() > least:
+    held = poses.time[ends] - poses.time[starts]
+    usual = float(np.median(held)) if len(held) > 1 else 0.0
+    for k in np.flatnonzero(held > max(FROZEN_TIME_MIN_S, FROZEN_OVER_USUAL_MIN * usual)):
+        begin, until = poses.time[starts[k]], poses.time[ends[k]]
+        way = _way(recording, robot, begin, until)
+        if way > MOVED_MIN.of(Scales(robot).ratios):
             yield (
-                f"Pose {start + 1} is repeated from {begin:.2f} s to {until:.2f} s, while length "
-                f"{int(way.argmax()) + 1} changes by {way.max():.2g} m: did the tracker lose the "
-                "platform? Leave the repeated poses out."
+                f"Pose {starts[k] + 1} is repeated from {begin:.2f} s to {until:.2f} s, while the "
+                f"lengths move the platform by {way:.2g} m: did the tracker lose it? Leave the "
+                "repeated poses out."
             )
             return
+
+
+def _way(recording: Recording, robot: Robot, begin: float, until: float) -> float:
+    """Return how far from the first pose of rest the lengths of some time move a platform [m]."""
+    rows = np.flatnonzero((recording.time >= begin) & (recording.time <= until))
+    if len(rows) < 2:
+        return 0.0
+    rest = forward_kinematics(robot, recording.unstrained_length[rows[evenly(len(rows), RESTS)]])
+    good = rest.position[rest.converged & rest.stable]
+    return float(np.linalg.norm(good - good[:1], axis=1).max(initial=0.0))
 
 
 def find_wrong_ratios(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
@@ -104,30 +118,58 @@ def _named(ratio: float) -> str:
 def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
     """Return that one length jumps against its distance, and stays apart, while the others fit.
 
+    A slack cable may be wound without moving the platform: without the jump, the platform is to
+    rest nearer to where it is.
+
     Args:
         robot: Robot description, n cables.
         length: Measured, one after the other [m], shape (S, n).
         pose: Measured at the same times.
     """
-    length, distance = _with_distances(robot, length, pose)
-    if len(length) <= 2:
+    straight = straight_length(robot, pose.position, pose.rotation)
+    good = np.flatnonzero(straight.valid.all(axis=1))
+    if len(good) <= 2:
         return
-    excess = length - distance
+    distance, position = straight.length[good], pose.position[good]
+    excess = length[good] - distance
     steps = np.abs(np.diff(excess, axis=0))
+    wound = np.abs(np.diff(distance, axis=0))  # a drum's error shows more the further it turns
     least = max(SLIP_MIN.of(Scales(robot).ratios), SLIP_OVER_STEPS_MIN * float(np.median(steps)))
-    for row, cable in zip(*np.nonzero(steps > least), strict=True):
-        before = excess[max(row + 1 - SLIP_SAMPLES, 0) : row + 1]
-        after = excess[row + 1 : row + 1 + SLIP_SAMPLES]
-        jump = np.abs(np.median(after, axis=0) - np.median(before, axis=0))
-        lasts = jump[cable] > SLIP_LEFT_MIN * steps[row, cable]
+    for row, cable in zip(*np.nonzero(steps > least + SLIP_OVER_WAY_MIN * wound), strict=True):
+        before = np.arange(max(row + 1 - SLIP_SAMPLES, 0), row + 1)
+        after = np.arange(row + 1, min(row + 1 + SLIP_SAMPLES, len(excess)))
+        jumps = np.median(excess[after], axis=0) - np.median(excess[before], axis=0)
+        share = abs(jumps[cable]) / steps[row, cable]
         others = np.delete(steps[row], cable)
-        if lasts and (others < STEADY_SHARE_MAX * steps[row, cable]).all():
+        if (
+            not SLIP_LEFT_RANGE[0] < share < SLIP_LEFT_RANGE[1]
+            or (others > STEADY_SHARE_MAX * steps[row, cable]).any()
+        ):
+            continue
+        jump = np.where(np.arange(robot.n) == cable, jumps, 0.0)
+        if _moves(robot, length[good], position, (before, after), jump):
             yield (
                 f"Length {cable + 1} jumps by {steps[row, cable]:.2g} m against the measured poses "
                 f"at sample {row + 1} of those that have one, and stays apart: did the cable slip, "
                 "or its encoder lose counts? Use the samples before or those after."
             )
             return
+
+
+def _moves(
+    robot: Robot, length: Array, position: Array, sides: tuple[Any, Any], jump: Array
+) -> bool:
+    """Return whether a jump of lengths (n,) explains how much farther platforms are from rest."""
+    before, after = (rows[evenly(len(rows), RESTS)] for rows in sides)
+    missed = []
+    for rows, change in ((before, 0.0 * jump), (after, 0.0 * jump), (after, jump)):
+        rest = forward_kinematics(robot, np.maximum(length[rows] - change, np.finfo(float).tiny))
+        good = rest.converged & rest.stable
+        if not good.any():
+            return False
+        missed.append((rest.position - position[rows])[good].mean(axis=0))
+    apart, left = (float(np.linalg.norm(each - missed[0])) for each in missed[1:])
+    return left < SLIP_UNEXPLAINED_MAX * apart
 
 
 def _with_distances(robot: Robot, length: Array, pose: Pose) -> tuple[Array, Array]:

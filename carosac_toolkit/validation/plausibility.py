@@ -152,7 +152,7 @@ def find_contradictions(
     mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
     mixed = mixed or tuple(find_wrong_ratios(robot, length, pose))
     if recording.metadata.length_kind != "unstrained":
-        return mixed or tuple(find_slip(robot, length, pose))
+        return mixed
     found = find_frames(robot, length, pose, zeros_known=zeros_known, doubt=doubt)
     frames = () if found is None else tuple(found.sentences(robot))
     if mixed == (QUATERNION_ORDER_HINT,) and frames:  # half a turn about z looks alike

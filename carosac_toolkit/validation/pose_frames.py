@@ -21,13 +21,15 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest.statics import forward_kinematics
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.validation.first_motion import SIX_CABLES
 
 RESTS_MAX = 300  # poses of rest that are compared, evenly spread
 RESTS_MIN = 4
 WORLD_TURN_MIN_RAD = 0.1  # [rad]: a smaller turn is a matter of calibration
 YAW_MIN_RAD = 0.1  # [rad] of the body about the vertical
 TILT_MIN_RAD = 0.25  # [rad] of the body: the centre of mass may tilt a platform by as much
-SAME_SPREAD_MIN_RAD = 0.01  # [rad] of attitudes of rest, of which a tracker sees some
+SAME_SPREAD_MIN_RAD = 0.02  # [rad] of attitudes of rest: noise of lengths turns them by less
+MIRROR_MISFIT_MAX = 0.3  # of the spread of positions along each axis
 TURN_WITHOUT_ZEROS_MIN_RAD = 0.35  # [rad] of the body, where zeros of lengths may tilt it
 SHIFT_MIN = Scaled(0.1, "m", most=0.1)  # a smaller shift is a matter of calibration
 SHIFT_COST_MIN = 14.16  # chi squared of three freedoms, at the chance of three sigmas
@@ -155,7 +157,8 @@ def find_frames(
     position, rotation = pose.position[some][good], pose.rotation[some][good]
     rests, attitudes = rest.position[good], rest.rotation[good]
     ratios = Scales(robot).ratios
-    inverted, unmeasured = _explained_by_inverse(rotation, attitudes), _same(rotation, attitudes)
+    inverted = _explained_by_inverse(rotation, attitudes)
+    unmeasured = robot.n < SIX_CABLES and _same(rotation, attitudes)
     backward = False
     if inverted:
         rotation = rotation.swapaxes(1, 2)
@@ -199,7 +202,8 @@ def find_frames(
 def _mirroring_axes(position: Array, rests: Array) -> tuple[str, ...]:
     """Return which measured axes fit x, y and z of W, where these mirror space; else nothing.
 
-    Positions near a plane fit as well mirrored at it: they must spread in all directions.
+    Positions near a plane fit as well mirrored at it: they must spread in all directions. So may
+    a platform that swings against the way of its rests, but not by as much.
     """
     measured, wanted = position - position.mean(axis=0), rests - rests.mean(axis=0)
     left, _, right = np.linalg.svd(wanted.T @ measured)
@@ -211,7 +215,8 @@ def _mirroring_axes(position: Array, rests: Array) -> tuple[str, ...]:
         float(np.sqrt(((wanted - measured @ each.T) ** 2).sum(axis=1).mean()))
         for each in (turn, mirror)
     )
-    if mirrored >= LEFT_SHARE_MAX * proper:
+    spread = float(wanted.std(axis=0).min())
+    if mirrored >= min(LEFT_SHARE_MAX * proper, MIRROR_MISFIT_MAX * spread):
         return ()
     main = np.abs(mirror).argmax(axis=1)
     signs = np.sign(mirror[np.arange(3), main])
@@ -226,11 +231,14 @@ def _explained_by_inverse(rotation: Array, attitudes: Array) -> bool:
         float(np.sqrt((Rotation.from_matrix(each @ attitudes).magnitude() ** 2).mean()))
         for each in (rotation.swapaxes(1, 2), rotation)
     )
-    return before > WORLD_TURN_MIN_RAD and after < LEFT_SHARE_MAX * before
+    return before > TILT_MIN_RAD and after < LEFT_SHARE_MAX * before
 
 
 def _same(rotation: Array, attitudes: Array) -> bool:
-    """Return whether orientations are all the same, where the attitudes of rest differ."""
+    """Return whether orientations are all the same, where the attitudes of rest differ.
+
+    Six cables and more hold an attitude, and errors of lengths turn it.
+    """
     if len(rotation) < 2 or np.ptp(rotation, axis=0).max() > 0.0:
         return False
     mean = _mean_rotation(attitudes)
