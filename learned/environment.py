@@ -17,6 +17,7 @@ from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
+from learned.belief_errors import BeliefErrorModel
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.observation import (
     ObservationInputs,
@@ -194,8 +195,6 @@ class CableEnvironment:
         self._lasting_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
         self._reached: WorldStates | None = None
-        self._watch_drives: Callable[[int, int], None] = lambda step, of: None
-        self._seed = seed
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
         self.observation_size = observe(settings.observation, shapes, self.scales).shape[1]
 
@@ -224,9 +223,15 @@ class CableEnvironment:
         """Call something with the number of paths after each that is drawn."""
         self._pool.watch = watch
 
-    def watch_drives(self, watch: Callable[[int, int], None]) -> None:
-        """Call something with the steps of drives behind a modelled estimator, done and in all."""
-        self._watch_drives = watch
+    @property
+    def lacks_errors(self) -> bool:
+        """True if beliefs are to err by a model that is not there yet."""
+        return isinstance(self.worlds, MovingWorlds) and self.worlds.lacks_errors
+
+    def take_errors(self, model: BeliefErrorModel) -> None:
+        """Let beliefs err by a model; before `reset`, where they are to."""
+        assert isinstance(self.worlds, MovingWorlds), "others have no beliefs"
+        self.worlds.take_errors(model)
 
     def first_paths(self, count: int) -> list[TargetPath]:
         """Return the first paths of the pool, all different."""
@@ -239,17 +244,14 @@ class CableEnvironment:
             paths: The targets, one path for each; None draws them.
 
         Raises:
-            InvalidField: More or fewer paths than environments.
+            InvalidField: More or fewer paths than environments, or no model by which beliefs are to
+                err.
         """
         if paths is not None and len(paths) != self.size:
             raise InvalidField("paths", f"{len(paths)} paths", f"{self.size}, one for each row")
-        if isinstance(self.worlds, MovingWorlds) and self.worlds.lacks_errors:
-            from learned.belief_drives import learn_belief_errors  # which drives in these worlds
-
-            self.worlds.take_errors(learn_belief_errors(
-                self.robot, self.settings, self._seed, device=self._device,
-                watch=self._watch_drives,
-            ))  # fmt: skip
+        if self.lacks_errors:
+            allowed = "those of learned.belief_drives.learn_belief_errors, by take_errors"
+            raise InvalidField("environment.moving.modelled", "no model of the errors", allowed)
         self._paths = paths or [self._draw() for _ in range(self.size)]
         return self._begin(np.arange(self.size))
 

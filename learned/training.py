@@ -28,6 +28,7 @@ from carosac_toolkit.base.tables import counted
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
+from learned.belief_drives import learn_belief_errors
 from learned.checkpoint import (
     CHECKPOINT_FILE,
     packages_of,
@@ -197,7 +198,7 @@ class _Run:
         )  # fmt: skip
         cables.watch_paths(partial(self._tell_of_paths, "the training"))
         self.test.watch_paths(partial(self._tell_of_paths, "the learning curve"))
-        cables.watch_drives(self._tell_of_drives)
+        self.cables = cables
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
         self.rows: list[dict[str, float]] = []
@@ -238,6 +239,11 @@ class _Run:
         self.test.reset()
         self.fresh = self.test.state()
         self.paths = self.test.first_paths(TEST_PATHS)
+        if self.cables.lacks_errors:
+            self.cables.take_errors(learn_belief_errors(
+                self.job.robot, self.job.stage.environment, self.job.seed, device=self.job.device,
+                watch=self._tell_of_drives,
+            ))  # fmt: skip
         _, self.callback = self.model._setup_learn(self.job.stage.td3.steps)
         self.callback.init_callback(self.model)
         if checkpoint.exists():

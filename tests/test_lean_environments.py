@@ -28,7 +28,8 @@ ARGUMENTS = {
 }
 NEEDING_MODULES = {
     "calibration.tachymeter.synthetic", "learned.exploration", "learned.gym_environment",
-    "learned.metric_policy", "learned.relabelling", "learned.td3", "learned.vector_environment",
+    "learned.metric_policy", "learned.relabelling", "learned.td3", "learned.truth_policy",
+    "learned.vector_environment",
 }  # fmt: skip
 
 

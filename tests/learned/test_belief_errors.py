@@ -133,14 +133,20 @@ def test_a_training_world_learns_how_its_estimator_errs_and_goes_on_bit_by_bit(m
     told = []
 
     def made():
-        cables = CableEnvironment(simple_robot(), SETTINGS, size=4, seed=3)
-        cables.watch_drives(lambda step, of: told.append((step, of)))
-        return cables
+        return CableEnvironment(simple_robot(), SETTINGS, size=4, seed=3)
+
+    def learned():
+        return belief_drives.learn_belief_errors(
+            simple_robot(), SETTINGS, 3, watch=lambda step, of: told.append((step, of))
+        )
 
     def go_on(cables):
         return np.stack([cables.step(np.full((4, 3), 0.2)).observation for _ in range(4)])
 
     cables = made()
+    with pytest.raises(InvalidField, match="modelled: got no model of the errors; allowed: those"):
+        cables.reset()
+    cables.take_errors(learned())
     cables.reset()
     assert told[-1] == (30, 30)
     np.testing.assert_allclose(cables.reached.belief.twist, 0.0, atol=0.5)  # begun at rest, nearly
@@ -150,7 +156,7 @@ def test_a_training_world_learns_how_its_estimator_errs_and_goes_on_bit_by_bit(m
     again = made()
     again.restore(state)
     np.testing.assert_array_equal(go_on(again), expected)
-    assert len(told) == 30  # a state brings its model along
+    assert not again.lacks_errors  # a state brings its model along
     error = errors_of(cables.reached, cables.reached.belief)
     assert (np.abs(error) > 1e-6).all()
 
@@ -158,7 +164,9 @@ def test_a_training_world_learns_how_its_estimator_errs_and_goes_on_bit_by_bit(m
 def test_worlds_beyond_the_share_have_constant_errors(monkeypatch):
     small(monkeypatch)
     moving = replace(SETTINGS.moving, estimated=0.5)
-    cables = CableEnvironment(simple_robot(), replace(SETTINGS, moving=moving), size=4)
+    settings = replace(SETTINGS, moving=moving)
+    cables = CableEnvironment(simple_robot(), settings, size=4)
+    cables.take_errors(belief_drives.learn_belief_errors(simple_robot(), settings, 0))
     cables.reset()
     errors = []
     for _ in range(3):
@@ -184,7 +192,7 @@ def test_modelled_errors_are_as_large_and_as_lasting_as_those_of_the_estimator()
         moving = replace(environment.moving, modelled=modelled)
         cables = CableEnvironment(robot, replace(environment, moving=moving), size=24, seed=77)
         if modelled:
-            cables.worlds.take_errors(model)
+            cables.take_errors(model)
         cables.reset()
         errors, lost = [], np.zeros(24, dtype=bool)
         for _ in range(160):

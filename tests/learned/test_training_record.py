@@ -59,14 +59,14 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
 def test_fields_that_came_later_make_no_other_training(tmp_path):
     reward, units = asdict(RewardSettings()), asdict(ObservationUnits())
     environment = {"world": "no_sag", "reward": reward, "units": units, "memory": 1.0}
-    environment |= {"correction": 0.0, "correction_memory": 4.0}
+    environment |= {"correction": 0.0, "correction_memory": 4.0, "truth": False}
     asked = ASKED | {"environment": environment}
     asked = json.loads(json.dumps(asked))
     older = json.loads(json.dumps(asked))
     for name in ("tracking_scale", "slack", "reserve", "jerk"):
         del older["environment"]["reward"][name]
     del older["environment"]["units"]["acceleration"]
-    for name in ("memory", "correction", "correction_memory"):
+    for name in ("memory", "correction", "correction_memory", "truth"):
         del older["environment"][name]
     del older["td3"]["target_rate"], older["changes"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
