@@ -404,7 +404,7 @@ class Identification(CalibrationResult):
             f"are noisy by {plain(error.position * 1e3, 2)} mm and "
             f"{plain(np.degrees(error.rotation), 2)} degrees (NEES, the mean square of errors over "
             f"what is claimed, is {plain(self.nees, 2)} on the samples that were {where}: 1 is "
-            "honest, more are too bold claims)"
+            "honest, above it claims are too bold)"
         ]
 
     def _excess(self) -> str:

@@ -7,10 +7,10 @@ like a robot, and is none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.numbers import plain
@@ -87,9 +87,10 @@ def find_wrong_ratios(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
         length: Measured [m], shape (S, n).
         pose: Measured at the same times.
     """
-    length, distance = _with_distances(robot, length, pose)
-    if len(length) <= 2:
+    good, distance = _distances(robot, pose)
+    if len(good) <= 2:
         return
+    length = length[good]
     moving = distance.std(axis=0) > RATIO_MOTION_MIN * distance.mean(axis=0)
     apart = [(column - column.mean(axis=0)) for column in (length, distance)]
     spread = [np.sqrt((column**2).mean(axis=0)) for column in apart]
@@ -126,12 +127,11 @@ def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
         length: Measured, one after the other [m], shape (S, n).
         pose: Measured at the same times.
     """
-    straight = straight_length(robot, pose.position, pose.rotation)
-    good = np.flatnonzero(straight.valid.all(axis=1))
+    good, distance = _distances(robot, pose)
     if len(good) <= 2:
         return
-    distance, position = straight.length[good], pose.position[good]
-    excess = length[good] - distance
+    length, position = length[good], pose.position[good]
+    excess = length - distance
     steps = np.abs(np.diff(excess, axis=0))
     wound = np.abs(np.diff(distance, axis=0))  # a drum's error shows more the further it turns
     least = max(SLIP_MIN.of(Scales(robot).ratios), SLIP_OVER_STEPS_MIN * float(np.median(steps)))
@@ -147,7 +147,7 @@ def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
         ):
             continue
         jump = np.where(np.arange(robot.n) == cable, jumps, 0.0)
-        if _moves(robot, length[good], position, (before, after), jump):
+        if _moves(robot, length, position, (before, after), jump):
             yield (
                 f"Length {cable + 1} jumps by {steps[row, cable]:.2g} m against the measured poses "
                 f"at sample {row + 1} of those that have one, and stays apart: did the cable slip, "
@@ -157,7 +157,7 @@ def find_slip(robot: Robot, length: Array, pose: Pose) -> Iterator[str]:
 
 
 def _moves(
-    robot: Robot, length: Array, position: Array, sides: tuple[Any, Any], jump: Array
+    robot: Robot, length: Array, position: Array, sides: Sequence[NDArray[np.intp]], jump: Array
 ) -> bool:
     """Return whether a jump of lengths (n,) explains how much farther platforms are from rest."""
     before, after = (rows[evenly(len(rows), RESTS)] for rows in sides)
@@ -172,8 +172,8 @@ def _moves(
     return left < SLIP_UNEXPLAINED_MAX * apart
 
 
-def _with_distances(robot: Robot, length: Array, pose: Pose) -> tuple[Array, Array]:
-    """Return lengths and straight distances [m], (K, n), where there are such."""
+def _distances(robot: Robot, pose: Pose) -> tuple[NDArray[np.intp], Array]:
+    """Return the samples at which all cables can be straight, and their lengths then (K, n) [m]."""
     straight = straight_length(robot, pose.position, pose.rotation)
-    good = straight.valid.all(axis=1)
-    return length[good], straight.length[good]
+    good = np.flatnonzero(straight.valid.all(axis=1))
+    return good, straight.length[good]
