@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, eigh
 
 from calibration.identification.cross_validation import Folds
-from calibration.identification.doubts import DOUBT_RATIO, Doubts, Judge, RunDerivatives
+from calibration.identification.doubts import Doubts, Judge
 from calibration.identification.error_noise import (
     RUNS_APART_MIN,
     PoseErrorNoise,
@@ -20,25 +20,24 @@ from calibration.identification.error_noise import (
 )
 from calibration.identification.frequencies import FrequencyTable, KnownFrequencies
 from calibration.identification.hidden_vibrations import hidden_vibrations
+from calibration.identification.linearization import (
+    STALE_SIGMAS,
+    Linearization,
+    axes_of_robot,
+    is_stale,
+    scattered_moves,
+)
 from calibration.identification.quadratic import Quadratic
 from calibration.identification.run_simulator import RunSimulator
 from calibration.identification.runs import FittedRun
 from calibration.identification.search_state import (
     DAMPING_START,
     Correction,
-    Near,
     Search,
     Step,
-    Wide,
 )
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.spread import (
-    STALE_SIGMAS,
-    Spread,
-    moves_along,
-    moves_of_run,
-    symmetric_draws,
-)
+from calibration.identification.spread import Spread, symmetric_draws
 from calibration.identification.unknowns import Coordinates
 from calibration.identification.vibration_scan import as_vibrating, cable_ways
 from calibration.identification.vibrations import HiddenVibrations
@@ -53,9 +52,9 @@ MANY_STEP_RATIO = 1.0 / 3.0  # of the time steps where many recordings show what
 # Squared sigmas by which a step must promise to lower the cost: for each axis that counts, or each
 # coordinate of the starts.
 SETTLED_DECREASE = 0.1
-# The same of many recordings, which tell their sigmas, for each coordinate of the robot; and with
-# only a part of the poses.
-MANY_DECREASE, PART_DECREASE = 0.02, 1.0
+# The same of many recordings, which tell their sigmas, for each coordinate of the robot: by
+# derivatives, by averages, of which the last step is taken, and with a part of the poses.
+MANY_DECREASE, AVERAGES_DECREASE, PART_DECREASE = 0.02, 0.05, 1.0
 POSE_SHARES = (
     0.15,
     0.4,
@@ -63,8 +62,8 @@ POSE_SHARES = (
 )  # of the poses, from the first: later ones would be out of phase at first
 SHARES_OF_MANY = (0.04, 0.12, 0.35, 1.0)  # of those of many recordings, which may begin with a jolt
 STEPS_PER_SHARE = 4  # for each share but the last
-ROUGH_STEPS_MAX = 3  # with all poses of a sway, before derivatives over sigmas are taken
-NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
+ROUGH_STEPS_MAX = 3  # with all poses of a sway, before averages lead to the end
+NOISE_UPDATES_MAX = 6  # steps by derivatives, after which noise is no longer estimated anew
 SCORE_STRETCH_S = 5.0  # [s]
 # Of few recordings together, each of which is held out once; and of each, as a start that is held
 # out altogether is not known.
@@ -182,11 +181,10 @@ class Fitter:
             cost=0.0, gradient=np.zeros(len(self._first)), information=self._prior
         )
         self._finer: list[Array] | None = None  # what time steps make derivatives wrong by
-        self._near: Near | None = None  # over short steps of a sway
-        self._wide: Wide | None = None  # derivatives over some sigmas
         # What vibrations that noise hides change of errors of each run.
         self._hidden: list[HiddenVibrations] | None = None
-        self._doubts: Doubts | None = None  # by how much these may be wrong
+        self._linear: list[Linearization] | None = None  # errors of each run, as taken last
+        self._doubts: Doubts | None = None  # what errors have in common
         self._correction = Correction(at=self._first, errors=[])  # as found last
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
         self._searched = np.ones(len(self._first), dtype=np.bool_)
@@ -244,21 +242,22 @@ class Fitter:
         self._known = self._known_about(at)
         self._doubts = self._doubted(state.errors, state.jacobians, noise)
         information, _ = self._normal(state.errors, state.jacobians, noise)
-        inverse = np.asarray(np.linalg.inv(information + self._precision), float)
+        believed = self._believed(information, state.errors, noise)
+        inverse = np.asarray(np.linalg.inv(believed + self._precision), float)
         excess = self._excess(state, noise, information, inverse)
         own = slice(self._count)
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
-        spread = self._spread(state, noise, root, inverse)
+        spread = self._spread(at, root)
         folds = self._folds(state, self._judge or self._by(noise))
-        information /= self._axes * excess
+        believed /= self._axes * excess
         if left_out:
             for k, start in zip(left_out, self._sought(at, left_out), strict=True):
                 at[self._own[k][self._count :]] = start
         return CoordinateFit(
             coordinates=at[own],
             spread=spread,
-            information=self._marginal(information) + (self._precision - self._prior)[own, own],
+            information=self._marginal(believed) + (self._precision - self._prior)[own, own],
             starts=self._starts(at),
             excess=excess,
             iterations=state.count,
@@ -285,122 +284,141 @@ class Fitter:
         cross = information[own, start]
         return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
 
-    def _spread(self, state: Search, noise: PoseErrorNoise, root: Array, inverse: Array) -> Spread:
-        """Return how far off the robot may be.
-
-        Args:
-            state: Where the search ended.
-            noise: Of the errors there.
-            root: Of the covariance of all coordinates, to first order.
-            inverse: Of the information with the prior.
-        """
+    def _spread(self, at: Array, root: Array) -> Spread:
+        """Return how far off the robot may be, by the root of the covariance of all coordinates."""
         own = slice(self._count)
         covariance = root @ root.T  # rounding leaves a product of three too asymmetric
-        straight = Spread.straight(np.asarray(covariance[own, own], float))
-        wide = self._wide
-        if wide is None:
-            return straight
-        room = np.where(self._searched, state.at - self._lower, 0.0)
-        draws = symmetric_draws(root, room)
-        pull, exists = self._pull(state, noise, wide.rough, draws, draws)
-        bends = -pull @ inverse
-        return replace(straight, draws=draws[exists, own], bends=bends[exists, own])
-
-    def _pull(
-        self, state: Search, noise: PoseErrorNoise, rough: list[Array], steps: Array, told: Array
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the gradient (d, all coordinates) of what steps lead to, beyond what is told.
-
-        Args:
-            state: Where they begin.
-            noise: Of the errors there.
-            rough: Derivatives by the time steps of the search, of each run.
-            steps: shape (d, all coordinates).
-            told: Steps of which the derivatives tell, the same shape.
-
-        Returns:
-            The gradient, and which of the steps lead to a robot that moves (d,).
-        """
-        points = np.maximum(np.concatenate([state.at[None], state.at + steps]), self._lower)
-        errors, good = self._simulated([points] * len(self._runs))
-        pull = np.zeros_like(steps)
-        for k in self._kept:
-            rows = self._own[k]
-            expected = np.einsum("nci,di->dnc", rough[k], told[:, rows])
-            beyond = (errors[k][1:] - errors[k][0] - expected).reshape(len(steps), -1)
-            flat = state.jacobians[k].reshape(-1, len(rows))
-            pull[:, rows] += self._by(noise).product(k, state.errors[k], flat, beyond.T).T
-        return pull, np.all([good[k][1:] for k in self._kept], axis=0)
+        spread = Spread.straight(np.asarray(covariance[own, own], float))
+        if self._linear is None:
+            return spread
+        room = np.where(self._searched, at - self._lower, 0.0)
+        return replace(spread, draws=symmetric_draws(root, room)[:, own])
 
     def _settle(self, at: Array, steps: int | None, report: ProgressCallback) -> Search:
         """Search from somewhere, for some steps or to the end."""
-        damping, settled, hessian = DAMPING_START, False, None
+        damping, settled = DAMPING_START, False
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
+        averages = steps is None and self._sways and not alone
         coarse = steps is not None or not (self._sways and alone)
-        if steps is None and self._sways and not alone:
+        if averages:
             self._hidden = self._hidden_vibrations(at, self._unknowns.prior.sigma)
         errors = self._errors_at(at)
-        least, near = SETTLED_DECREASE * self._axes, STALE_SIGMAS**2 * self._count
+        least = SETTLED_DECREASE * self._axes
         if self._many:
             least = (PART_DECREASE if steps else MANY_DECREASE) * self._count
+        if averages:
+            least = STALE_SIGMAS**2 * self._count  # from where averages lead to the end
         for count in range(1, (steps or self._settings.iterations) + 1):
             final = steps is not None or not coarse  # it may end with these derivatives
-            errors, jacobians = self._linear_at(at, errors, coarse=coarse, hessian=hessian)
+            jacobians = self._jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = self._noise(errors)
-            poses = sum(len(run.poses.time) for run in self._runs)
-            report(poses, *_rms(np.concatenate(errors)))
-            self._known = self._known_about(at)
-            self._doubts = self._doubted(errors, jacobians, noise)
-            information, gradient = self._normal(errors, jacobians, noise)
-            hessian, gradient = information + self._precision, gradient + self._known.gradient
-            rough = coarse and self._sways and steps is None
+            self._report(report, errors)
+            hessian, gradient = self._about(at, errors, jacobians, noise)
             promise = self._promise(self._bounded(at, hessian, gradient), hessian, gradient)
-            enough = near if rough else least
-            settled, stuck = promise <= enough, False
+            settled, stuck = promise <= least, False
             if not settled or (self._sways and not coarse):  # by exact derivatives, a last one too
-                step = self._search(at, hessian, gradient, errors, noise, damping, enough)
-                stuck = not settled and step.decrease <= enough
+                step = self._search(at, hessian, gradient, errors, noise, damping, least)
+                stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
                 at, errors, damping = step.at, step.errors, step.damping
-            if self._leads_roughly:
-                settled = False
-                continue
             ended = settled or stuck
+            if averages and (ended or count == ROUGH_STEPS_MAX):
+                at, errors = self._found_again(at, errors, noise)
+                self._leave_out(at, errors)
+                hessian, _ = self._about(at, errors, jacobians, noise)
+                return self._settle_averages(at, hessian, count, report)
             if ended and final:
                 break
-            if ended or count == ROUGH_STEPS_MAX:
-                if rough:
-                    at, errors = self._found_again(at, errors, noise)
-                    self._leave_out(at, errors)
-                    information, _ = self._normal(errors, jacobians, noise)
-                    hessian = information + self._precision
-                coarse &= not (ended or rough)
+            coarse &= not ended
         settled &= final
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def _linear_at(
-        self, at: Array, errors: list[Array], *, coarse: bool, hessian: Array | None
-    ) -> tuple[list[Array], list[Array]]:
-        """Return errors (K, 6) and derivatives (K, 6, p) of each run; as of `_jacobians`.
+    def _settle_averages(
+        self, at: Array, hessian: Array, count: int, report: ProgressCallback
+    ) -> Search:
+        """Search to the end by errors that are linear over what is left of uncertainty.
 
-        With derivatives over some sigmas, hidden vibrations are found anew, and change the errors.
+        Args:
+            at: All coordinates, near to the end.
+            hessian: Of the cost there, about.
+            count: Steps until there.
+            report: As of `run`.
         """
-        before = self._wide
-        jacobians = self._jacobians(at, coarse=coarse, hessian=hessian)
-        if self._wide is before:
-            return errors, jacobians
-        return self._errors_at(at), jacobians
+        found, settled = None, False
+        while True:
+            count += 1
+            if found is None or is_stale(at - found, hessian, self._count):
+                sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
+                self._hidden, found = self._hidden_vibrations(at, sigma), at
+            errors, jacobians = self._linearized(at, hessian)
+            noise = self._noise(errors)
+            self._report(report, errors)
+            hessian, gradient = self._about(at, errors, jacobians, noise)
+            step = self._step(at, hessian, gradient, 0.0)
+            settled = self._promise(step, hessian, gradient) <= AVERAGES_DECREASE * self._count
+            information = hessian - self._precision
+            hessian = self._believed(information, errors, noise) + self._precision
+            if settled:  # the last one is along the same lines
+                end = self._moved(at, step)
+                for error, jacobian, own in zip(errors, jacobians, self._own, strict=True):
+                    error += jacobian @ (end - at)[own]
+                at = end
+            if settled or count >= self._settings.iterations:
+                break
+            at = self._moved(at, step)
+        return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
+
+    def _report(self, report: ProgressCallback, errors: Sequence[Array]) -> None:
+        """Report errors of all runs, before a step."""
+        report(sum(len(run.poses.time) for run in self._runs), *_rms(np.concatenate(errors)))
+
+    def _about(
+        self, at: Array, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
+    ) -> tuple[Array, Array]:
+        """Return the Hessian of half the cost and its gradient, with all else that is known."""
+        self._known = self._known_about(at)
+        self._doubts = self._doubted(errors, jacobians, noise)
+        information, gradient = self._normal(errors, jacobians, noise)
+        return information + self._precision, gradient + self._known.gradient
+
+    def _believed(
+        self, information: Array, errors: Sequence[Array], noise: PoseErrorNoise
+    ) -> Array:
+        """Return an information without what slopes seem to tell by chance.
+
+        Where that is more than there is, nothing is told.
+
+        Args:
+            information: By slopes over what is uncertain, or derivatives, which have no chance.
+            errors: Of each run (K, 6).
+            noise: Of the errors.
+        """
+        if self._linear is None:
+            return information
+        left, judge = information.copy(), self._by(noise)
+        searched = self._searched.copy()
+        alike = self._unknowns.alike if self._told_by_alike(searched) else None
+        for k, rows in enumerate(self._varied(searched)):
+            linear, own = self._linear[k], self._own[k]
+            if not len(rows):
+                continue
+            chance = np.trace(judge.product(k, errors[k], linear.chance, linear.chance))
+            taken = np.zeros((len(rows), len(own)))
+            taken[:, np.isin(own, rows)] = np.eye(len(rows))
+            if alike is not None:
+                of_robot = rows < self._count
+                taken[of_robot, self._mass] = -alike[rows[of_robot]] / alike[self._mass]
+            told = taken.T @ np.linalg.solve(linear.scatter, taken)
+            left[np.ix_(own, own)] -= chance * told
+        values, vectors = eigh(left, self._precision)
+        back = np.linalg.inv(vectors)
+        return np.asarray(back.T @ (np.maximum(values, 0.0)[:, None] * back))
 
     @property
     def _starts_follow(self) -> bool:
         """True where steps of the robot are judged once the starts of many runs have followed."""
         return self._many and bool(self._searched[: self._count].any())
-
-    @property
-    def _leads_roughly(self) -> bool:
-        """True where derivatives over some sigmas are along rough axes: they lead one step."""
-        return self._wide is not None and self._wide.rough_axes
 
     def _excess(
         self, state: Search, noise: PoseErrorNoise, information: Array, inverse: Array
@@ -553,24 +571,13 @@ class Fitter:
         errors, good = self._simulated([points] * len(self._runs))
         there = self._correction
         trials = [each + more for each, more in zip(errors, there.errors, strict=True)]
-        changes = self._correction_slopes()
-        if changes is not None:
+        if self._finer is not None:
             moves = points - there.at
-            for each, own, change in zip(trials, self._own, changes, strict=True):
+            for each, own, change in zip(trials, self._own, self._finer, strict=True):
                 each += np.einsum("nci,bi->bnc", change, moves[:, own])
         return trials, good
 
-    def _correction_slopes(self) -> list[Array] | None:
-        """Return derivatives of what time steps make errors wrong by, as far as they are known."""
-        if self._wide is None:
-            return self._finer
-        return [
-            exact - rough for exact, rough in zip(self._wide.exact, self._wide.rough, strict=True)
-        ]
-
-    def _jacobians(
-        self, at: Array, *, coarse: bool, starts: bool = False, hessian: Array | None = None
-    ) -> list[Array]:
+    def _jacobians(self, at: Array, *, coarse: bool, starts: bool = False) -> list[Array]:
         """Return the derivatives of each run's errors (K, 6) by what it depends on, (K, 6, p).
 
         With `starts` those by the robot are left at 0.
@@ -579,25 +586,9 @@ class Fitter:
         That leads to where the search ends within a sigma, and exact ones lead to its end. Where
         steps are as long as a sway allows, longer ones would miss the cables' stiffness altogether.
         Exact ones are there of vanishing time steps, as errors are: parameters that nearly make up
-        for each other show by less than a hundredth of what each of them does. Those of many
-        recordings are means of those over some sigmas and those over short steps, of longer time
-        steps, and taken anew once a search has left them by a sigma.
-
-        All forces and masses by one factor give the same motion, so that those by the mass follow
-        from the others. As a difference they would be wrong by a thousandth of themselves, and many
-        recordings would seem to tell that factor.
+        for each other show by less than a hundredth of what each of them does.
         """
         robot = self._searched[: self._count].any() and not starts
-        wide = self._wide
-        if wide is not None and starts:
-            return [_of_starts(each, self._count) for each in wide.jacobians]
-        if robot and self._sways and not coarse and hessian is not None:
-            if wide is None or wide.rough_axes or wide.is_stale(at, hessian, self._count):
-                wide = self._wide = self._taken_wide(at, hessian)
-            return wide.jacobians
-        near = self._near
-        if robot and near is not None and near.runs is self._runs and np.array_equal(near.at, at):
-            return near.jacobians
         searched = self._searched.copy()
         searched[: self._count] &= not starts
         alike = robot and self._told_by_alike(searched)
@@ -608,12 +599,15 @@ class Fitter:
             jacobians = [each + own for each, own in zip(jacobians, more, strict=True)]
         if alike:
             self._fill_alike(jacobians)
-        if robot and self._sways:
-            self._near = Near(at=at.copy(), runs=self._runs, jacobians=jacobians)
         return jacobians
 
     def _told_by_alike(self, searched: NDArray[np.bool_]) -> bool:
-        """Say whether derivatives by the mass follow from others; if so, it is not differenced."""
+        """Say whether derivatives by the mass follow from others; if so, it is not differenced.
+
+        All forces and masses by one factor give the same motion. As a difference derivatives by the
+        mass would be wrong by a thousandth of themselves, and many recordings would seem to tell
+        that factor.
+        """
         if not self._many or self._unknowns.alike is None or not searched[self._mass]:
             return False
         searched[self._mass] = False
@@ -638,51 +632,49 @@ class Fitter:
             self._finer = [4.0 / 3.0 * (a - b) for a, b in zip(fine, rough, strict=True)]
         return self._finer
 
-    def _taken_wide(self, at: Array, hessian: Array) -> Wide:
-        """Return derivatives over some sigmas to both sides, as of `_jacobians`.
+    def _linearized(self, at: Array, hessian: Array) -> tuple[list[Array], list[Array]]:
+        """Return errors (K, 6) and derivatives (K, 6, p) of each run, over what is uncertain.
 
-        The first ones lead a step along rough axes: what time steps and vibrations change is left
-        to the next.
+        Time steps change them as they do at `at`: what they change along a move is more rugged than
+        motion itself.
 
         Args:
             at: All coordinates.
-            hessian: Of the cost, about.
+            hessian: Of the cost.
+
+        Raises:
+            CarosacError: One of the robots does not move.
         """
+        here = self._errors_at(at)
         searched = self._searched.copy()
         alike = self._told_by_alike(searched)
-        varied, size = self._varied(searched), STEP_OF_MANY
-        robot = moves_along(hessian, at, self._lower, searched, robot=self._count, size=size)
+        axes, lower = axes_of_robot(hessian, searched, self._count), self._lower - at
+        varied = self._varied(searched)
         moves = [
-            moves_of_run(*robot, hessian, own, rows, size=size)
-            for own, rows in zip(self._own, varied, strict=True)
+            scattered_moves(axes, hessian, self._count, rows, lower)
+            if len(rows)
+            else np.zeros((1, 0))
+            for rows in varied
         ]
-        points = [
-            each.ends(at, self._lower, rows) for each, rows in zip(moves, varied, strict=True)
-        ]
-        errors, good = self._simulated(points)
-        changes = [move.change(each) for move, each in zip(moves, errors, strict=True)]
-        rough_axes = self._wide is None
-        more = [np.zeros((1, 1, 1))] * len(moves)
-        if not rough_axes:
-            ahead = [ends[: 1 + len(rows)] for ends, rows in zip(points, varied, strict=True)]
-            finer, fine = self._simulated(ahead, refined=2)
-            for k, own in enumerate(fine):
-                good[k][: len(own)] &= own
-                beyond = finer[k] - errors[k][: len(own)]
-                more[k] = 4.0 / 3.0 * (beyond[1:] - beyond[0])
-        rough: list[Array] = []
-        exact: list[Array] = []
-        for k, (move, rows) in enumerate(zip(moves, varied, strict=True)):
-            self._simulator.check_motion(good[k], rows, np.concatenate([move.steps, -move.steps]))
-            for each, change in ((rough, changes[k]), (exact, changes[k] + more[k])):
-                each.append(self._simulator.by_coordinates(k, rows, move.steps, change))
+        points = [np.tile(at, (len(each), 1)) for each in moves]
+        for each, rows, move in zip(points, varied, moves, strict=True):
+            each[:, rows] += move
+        found, good = self._simulated(points)
+        if not all(each.all() for each in good):
+            raise CarosacError("identification: no finite motion of a robot as likely as the best")
+        errors, jacobians, self._linear = [], [], []
+        for k, (rows, move, more) in enumerate(
+            zip(varied, moves, self._correction.errors, strict=True)
+        ):
+            linear = Linearization.of(move, found[k]) if len(rows) else None
+            linear = linear or Linearization.nowhere(here[k] - more)
+            errors.append(linear.mean + more)
+            same = np.eye(len(rows))
+            jacobians.append(self._simulator.by_coordinates(k, rows, same, linear.slopes))
+            self._linear.append(linear)
         if alike:
-            for each in (rough, exact):
-                self._fill_alike(each)
-        near = exact if rough_axes else self._jacobians(at, coarse=True)
-        sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
-        self._hidden = self._hidden_vibrations(at, sigma)
-        return Wide(at=at.copy(), rough=rough, exact=exact, near=near, rough_axes=rough_axes)
+            self._fill_alike(jacobians)
+        return errors, jacobians
 
     def _hidden_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change of each run, as `hidden_vibrations`.
@@ -723,30 +715,27 @@ class Fitter:
     def _doubted(
         self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
     ) -> Doubts | None:
-        """Return by how much errors may be wrong beside noise; None: that was not looked at.
+        """Return what errors have in common beside noise; None: that was not looked at.
 
-        Derivatives may, as both kinds differ, and vibrations that noise hides change them.
+        Vibrations that noise hides change them, and what linear functions leave out.
         """
-        if self._hidden is None:
+        if self._hidden is None and self._linear is None:
             return None
-        count, wide = self._count, self._wide
-        runs = []
-        for k, (jacobian, hidden) in enumerate(zip(jacobians, self._hidden, strict=True)):
-            differs = np.zeros_like(jacobian)
-            if wide is not None:
-                differs = DOUBT_RATIO * (wide.exact[k] - wide.near[k])
-            flat, doubt = (each.reshape(errors[k].size, -1) for each in (jacobian, differs))
-            weights = noise.weights(errors[k]).ravel() * float(self._followed[k])
-            runs.append(
-                RunDerivatives(
-                    robot=flat[:, :count],
-                    start=flat[:, count:],
-                    doubt=doubt[:, :count],
-                    hidden=hidden.spread,
-                    weights=weights,
-                )
-            )
-        return Doubts.of(runs, self._precision[:count, :count])
+        columns = [np.zeros((each.size, 0)) for each in errors]
+        for more in (
+            [each.spread for each in self._hidden or ()],
+            [each.beyond for each in self._linear or ()],
+        ):
+            if more:
+                columns = [np.hstack(both) for both in zip(columns, more, strict=True)]
+        return Doubts.beside_starts(
+            columns,
+            [
+                each.reshape(len(own), -1)[:, self._count :]
+                for each, own in zip(jacobians, columns, strict=True)
+            ],
+            [noise.weights(each).ravel() for each in errors],
+        )
 
     def _varied(self, searched: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
         """Return by which coordinates each run is differenced."""
@@ -860,7 +849,7 @@ class Fitter:
             step = self._step(at, hessian, gradient, damping)
             if self._sways:
                 ways = [self._promise(each * step, hessian, gradient) for each in SWAY_STRETCHES]
-                if tried and (max(ways) <= least or self._leads_roughly):
+                if tried and max(ways) <= least:
                     break
                 points, trials, good = self._follow(at, step, hessian, gradient, noise)
             else:
@@ -1134,13 +1123,6 @@ def _tries(
         np.asarray(-share * np.linalg.solve(hessian + damping * diagonal, gradient), float)
         for share, damping in tries
     ]
-
-
-def _of_starts(jacobian: Array, robot: int) -> Array:
-    """Return derivatives (K, 6, p) by a start alone; those by the robot are 0."""
-    alone = jacobian.copy()
-    alone[:, :, :robot] = 0.0
-    return alone
 
 
 def _rms(errors: Array) -> tuple[float, float]:

@@ -206,8 +206,7 @@ class Coordinates:
         if len(spread.draws):
             there = np.array([values(coordinates + draw) for draw in spread.draws])
             curved = there - values(coordinates) - spread.draws @ slope.T
-            beyond = spread.bends @ slope.T + curved
-            joint = joint + beyond.T @ beyond / len(beyond)
+            joint = joint + curved.T @ curved / len(curved)
         return ParameterEstimate(
             names=self.prior.names,
             value=values(coordinates),

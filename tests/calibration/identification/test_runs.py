@@ -15,10 +15,16 @@ from benchmarks.calibration_oscillations import (
     draw_plant,
     robot_with_pulleys,
 )
-from calibration.identification import fit, procedure, search_state, spread
+from calibration.identification import linearization, procedure, search_state, spread
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
+from calibration.identification.linearization import (
+    Linearization,
+    axes_of_robot,
+    is_stale,
+    scattered_moves,
+)
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.open_loop import (
     OpenLoopRun,
@@ -37,7 +43,7 @@ from calibration.identification.runs import (
     without_ringing,
 )
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.spread import moves_along, moves_of_run, symmetric_draws
+from calibration.identification.spread import symmetric_draws
 from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
@@ -195,7 +201,7 @@ def fitter_of(plant, runs):
 
 @pytest.fixture(scope="module")
 def near(plant, runs):
-    """A fitter, where it begins, its errors, their noise, derivatives by coordinates, information.
+    """A fitter, where it begins, errors, their noise, rough and exact derivatives, information.
 
     Of dry friction one is a little above its bound.
     """
@@ -209,38 +215,73 @@ def near(plant, runs):
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter._normal(errors, exact, noise)
-    wide = search_state.Wide(at=at, rough=rough, exact=exact, near=rough)
-    return fitter, at, errors, noise, wide, information
+    return fitter, at, errors, noise, rough, exact, information
 
 
-def test_differences_along_axes_of_the_covariance_are_those_by_coordinates(near, monkeypatch):
-    monkeypatch.setattr(spread, "MOVE_SIGMAS", 0.1)  # so near all is linear
-    monkeypatch.setattr(spread, "MOVE_MAX", 0.02)
-    fitter, at, errors, noise, wide, information = near
+def test_a_linear_function_over_little_uncertainty_has_the_derivatives(near, monkeypatch):
+    monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
+    fitter, at, errors, noise, rough, _, information = near
     hessian = information + fitter._precision
-    monkeypatch.setattr(fitter, "_wide", None)
     monkeypatch.setattr(fitter, "_hidden", None)
-    first = fitter._taken_wide(at, hessian)
-    assert first.is_stale(at, hessian, fitter._count) is False and first.rough_axes
-    monkeypatch.setattr(fitter, "_wide", wide)
-    taken = fitter._taken_wide(at, hessian)
-    assert not taken.rough_axes and fitter._hidden[0].spread.size
-    again, _ = fitter._normal(errors, taken.exact, noise)
+    monkeypatch.setattr(fitter, "_linear", None)
+    means, found = fitter._linearized(at, hessian)
+    for mean, error, linear in zip(means, errors, fitter._linear, strict=True):
+        assert np.abs(mean - error).max() < 0.05 * noise.sigma[0]
+        assert np.abs(linear.beyond).max() < 0.05 * noise.sigma[0]
     root = np.linalg.cholesky(np.linalg.inv(hessian))
     own = np.arange(len(at)) != fitter._mass
-    known, found = (
-        root.T[:, own] @ each[np.ix_(own, own)] @ root[own] for each in (information, again)
+    known, again = (
+        root.T[:, own] @ fitter._normal(errors, each, noise)[0][np.ix_(own, own)] @ root[own]
+        for each in (rough, found)
     )
-    assert np.abs(found - known).max() < 0.1  # by axes of the covariance
-    assert not taken.is_stale(at, hessian, fitter._count)
-    step = 3.0 * np.sqrt(fitter._count) * root[:, 0] / np.sqrt(root[:, 0] @ hessian @ root[:, 0])
-    assert taken.is_stale(at + step, hessian, fitter._count)
+    assert np.abs(again - known).max() < 0.1  # by axes of the covariance
+
+
+def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
+    monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
+    fitter, at, errors, noise, _, _, information = near
+    hessian, simulated = information + fitter._precision, fitter._simulated
+    rng = np.random.default_rng(6)
+
+    def rugged(points, *, refined=1):
+        found, good = simulated(points, refined=refined)
+        size = 1e-3 * noise.sigma[0] if len(found[0]) > 1 else 0.0
+        return [each + size * rng.standard_normal(each.shape) for each in found], good
+
+    monkeypatch.setattr(fitter, "_hidden", None)
+    monkeypatch.setattr(fitter, "_doubts", None)
+    told = []
+    for simulate in (simulated, rugged):
+        monkeypatch.setattr(fitter, "_simulated", simulate)
+        monkeypatch.setattr(fitter, "_linear", None)
+        _, slopes = fitter._linearized(at, hessian)
+        told.append(fitter._normal(errors, slopes, noise)[0])
+    believed = fitter._believed(told[1], errors, noise)
+    axes = axes_of_robot(hessian, fitter._searched, fitter._count)
+    axes = np.delete(axes, fitter._mass, axis=1)  # the mass follows
+    rows = np.delete(np.arange(len(at)), fitter._mass)
+    by_chance, left = (
+        np.einsum("ai,ij,aj->a", axes, (each - told[0])[np.ix_(rows, rows)], axes).sum()
+        for each in (told[1], believed)
+    )
+    assert by_chance > 0.0 and abs(left) < 0.3 * by_chance
+
+
+def test_hidden_vibrations_are_found_anew_where_a_search_has_left(near):
+    fitter, _, _, _, _, _, information = near
+    hessian = information + fitter._precision
+    root = np.linalg.cholesky(np.linalg.inv(hessian))
+    step = np.sqrt(fitter._count) * root[:, 0] / np.sqrt(root[:, 0] @ hessian @ root[:, 0])
+    assert not is_stale(0.9 * step, hessian, fitter._count)
+    assert is_stale(1.1 * step, hessian, fitter._count)
+    start = np.where(np.arange(len(step)) < fitter._count, 0.0, 1.0)  # of the starts alone
+    assert not is_stale(start, hessian, fitter._count)
 
 
 @pytest.mark.parametrize("name", ["inertia.xx", "axial_damping", "start.speed[0]"])
 def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
     """What time steps make errors wrong by changes along a step; one simulation tells it anyway."""
-    fitter, at, _, _, wide, _ = near
+    fitter, at, _, _, rough, exact, _ = near
     move = np.zeros(len(at))
     move[fitter._names.index(name)] = 0.02
 
@@ -250,9 +291,10 @@ def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
         exact = fitter._errors_at(at + move)
         return sum(((a[0] - b) ** 2).sum() for a, b in zip(trials, exact, strict=True))
 
-    monkeypatch.setattr(fitter, "_wide", None)
+    monkeypatch.setattr(fitter, "_finer", None)
     without = missed()
-    monkeypatch.setattr(fitter, "_wide", wide)
+    finer = [one - other for one, other in zip(exact, rough, strict=True)]
+    monkeypatch.setattr(fitter, "_finer", finer)
     assert missed() < 0.1 * without
 
 
@@ -281,23 +323,24 @@ def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
 
 
 def test_moves_of_some_sigmas_lead_to_robots(near):
-    """Also next to a bound, where a move ends on it, to both sides if there is room for it."""
-    fitter, at, _, _, _, information = near
-    searched, size = fitter._searched.copy(), fit.STEP_OF_MANY
+    """Also next to a bound, where a move ends on it."""
+    fitter, at, *_, information = near
+    searched = fitter._searched.copy()
     searched[fitter._mass] = False
     hessian = 1e-3 * information + fitter._precision  # of few data
-    whole, both = moves_along(hessian, at, fitter._lower, searched, robot=fitter._count, size=size)
+    axes = axes_of_robot(hessian, searched, fitter._count)
     cut = fitter._names.index("exit_friction")
     on_bound = 0
-    for own, rows in zip(fitter._own, fitter._varied(searched), strict=True):
-        moves = moves_of_run(whole, both, hessian, own, rows, size=size)
-        assert np.linalg.cond(moves.steps) < 1e6
-        ends = moves.ends(at, fitter._lower, rows)
-        assert (ends >= fitter._lower).all()
+    for rows in fitter._varied(searched):
+        moves = scattered_moves(axes, hessian, fitter._count, rows, fitter._lower - at)
+        assert np.linalg.matrix_rank(moves) == len(rows)
+        ends = np.tile(at, (len(moves), 1))
+        ends[:, rows] += moves
+        assert (ends >= fitter._lower - 1e-12).all()
         on_bound += np.isclose(ends[:, cut], fitter._lower[cut], atol=1e-9).sum()
         for end in ends:
             fitter._unknowns.robot_at(end[: fitter._count])  # refuses what is no robot
-    assert on_bound and not both.all()
+    assert on_bound
 
 
 def test_draws_within_bounds_stay_likely():
@@ -314,58 +357,34 @@ def test_draws_within_bounds_stay_likely():
     assert not symmetric_draws(root, np.array([np.inf, 0.0]))[:, 1].any()
 
 
-def test_with_its_bend_a_draw_fits_as_its_derivatives_promise(near):
-    fitter, at, errors, noise, wide, information = near
-    hessian = information + fitter._precision
-    inverse = np.linalg.inv(hessian)
-    state = search_state.Search(at=at, errors=errors, jacobians=wide.exact, count=1, settled=True)
-    room = np.where(fitter._searched, at - fitter._lower, 0.0)
-    draws = symmetric_draws(0.3 * np.linalg.cholesky(inverse), room)
-
-    def pull(steps):
-        gradient, exists = fitter._pull(state, noise, wide.rough, steps, draws)
-        assert exists.all()
-        return gradient + (steps - draws) @ fitter._precision
-
-    before = pull(draws)
-    after = pull(draws - before @ inverse)
-    sizes = [np.sqrt(np.einsum("di,ij,dj->d", each, inverse, each)) for each in (before, after)]
-    assert np.median(sizes[1] / sizes[0]) < 0.5  # what remains is of higher order
-    fitter._wide = wide
-    found = fitter._spread(state, noise, 0.3 * np.linalg.cholesky(inverse), inverse)
-    fitter._wide = None
-    own = slice(fitter._count)
-    assert found.bends == pytest.approx(-(before @ inverse)[:, own], abs=1e-9)
-    assert found.draws == pytest.approx(draws[:, own])
-
-
-def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
-    fitter, at, errors, noise, alike, _ = near
+def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
+    fitter, at, errors, noise, _, exact, _ = near
     inertia = fitter._names.index("inertia.xx")
-    alike = replace(alike, near=alike.exact)
-    other = [each.copy() for each in alike.exact]
-    other[2][:, :, inertia] *= -3.0  # of one run
-    differing = replace(alike, near=other)
 
-    def doubt(wide):
+    def doubt(columns):
         monkeypatch.setattr(fitter, "_doubts", None)
-        monkeypatch.setattr(fitter, "_wide", wide)
-        hidden = [HiddenVibrations.none(error) for error in errors]
-        monkeypatch.setattr(fitter, "_hidden", hidden)
-        believed, _ = fitter._normal(errors, wide.jacobians, noise)
-        doubts = fitter._doubted(errors, wide.jacobians, noise)
-        monkeypatch.setattr(fitter, "_doubts", doubts)
-        return believed, *fitter._normal(errors, wide.jacobians, noise)
+        monkeypatch.setattr(fitter, "_hidden", None)
+        linear = [
+            replace(Linearization.nowhere(error), beyond=each)
+            for error, each in zip(errors, columns, strict=True)
+        ]
+        monkeypatch.setattr(fitter, "_linear", linear)
+        believed, _ = fitter._normal(errors, exact, noise)
+        monkeypatch.setattr(fitter, "_doubts", fitter._doubted(errors, exact, noise))
+        return believed, *fitter._normal(errors, exact, noise)
 
-    believed, doubted, _ = doubt(alike)
+    nothing = [np.zeros((each.size, 0)) for each in errors]
+    believed, doubted, _ = doubt(nothing)
     assert doubted == pytest.approx(believed, abs=1e-9 * np.abs(believed).max())
-    believed, doubted, gradient = doubt(differing)
+    along = exact[2].reshape(errors[2].size, -1)[:, inertia]
+    believed, doubted, gradient = doubt(
+        [10.0 * along[:, None] if k == 2 else each for k, each in enumerate(nothing)]
+    )
     lost = believed - doubted
     assert np.linalg.eigvalsh(lost).min() > -1e-9 * np.abs(believed).max()
     own = fitter._own[2]
     assert not np.delete(np.delete(lost, own, 0), own, 1).any()  # starts of others
     assert lost[inertia, inertia] > 1.0  # more than was known before
-    jacobians = differing.jacobians
     gradient = gradient + fitter._known_about(at).gradient
     step = 1e-3 * np.linalg.solve(doubted + fitter._precision, gradient)
     behind, ahead = (
@@ -373,7 +392,7 @@ def test_what_two_kinds_of_derivatives_differ_by_is_not_told(near, monkeypatch):
             at + side * step,
             [
                 error + side * jacobian @ step[rows]
-                for error, jacobian, rows in zip(errors, jacobians, fitter._own, strict=True)
+                for error, jacobian, rows in zip(errors, exact, fitter._own, strict=True)
             ],
             noise,
         )
@@ -418,9 +437,9 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
 
 
 def test_what_is_held_out_costs_what_its_best_start_does(near):
-    fitter, at, errors, noise, wide, _ = near
+    fitter, at, errors, noise, _, exact, _ = near
     count, rows = fitter._count, fitter._own[2][fitter._count :]
-    fold = fitter._fold(2, Judge(noise=noise), errors[2], wide.exact[2])
+    fold = fitter._fold(2, Judge(noise=noise), errors[2], exact[2])
     apart = fitter._with_start(2, at, fold).least_beside(count)
 
     def cost(start):
