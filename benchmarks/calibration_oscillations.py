@@ -29,12 +29,14 @@ from scipy.stats import chi2
 import carosac_toolkit as ct
 from benchmarks.results import write_section
 from calibration import IdentificationSettings, identification, identify_runs
+from calibration.estimate import ParameterEstimate
 from calibration.identification.result import Identification
 from calibration.identification.synthetic_oscillations import (
     OscillationSettings,
     simulate_oscillations,
 )
 from calibration.identification.unknowns import choose_coordinates
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.tables import counted
@@ -93,7 +95,8 @@ class Score:
         tilt: [rad].
         center: Of mass [m].
         nees: Normalised squared error of the parameters, over their number; of all that is in
-            proportion to forces or masses, that of logarithms [1].
+            proportion to forces or masses, that of logarithms, and of a cable's stiffness that of
+            its EA over its whole length [1].
         beyond: Parameters that are off by more than three sigmas.
         worst: The worst of them.
         count: How many parameters were identified.
@@ -119,13 +122,8 @@ class Score:
 
 def score(result: Identification, plant: Robot, runs: list[Recording]) -> Score:
     """Compare an identified robot with the true one."""
-    estimate = result.estimate
-    true = values_of(plant, estimate.names)
-    alike = [name in estimate.factors or field_of(name) in ALIKE for name in estimate.names]
-    factor = np.array(alike) & (estimate.value > 0.0)  # friction may be found to be none
-    off = estimate.value - true
-    off[factor] = estimate.value[factor] * np.log(estimate.value[factor] / true[factor])
-    shares = off / estimate.sigma
+    estimate, reach = result.estimate, choose_coordinates(result.before, SURVEYED).reach
+    shares = errors_along_curves(estimate, values_of(plant, estimate.names), reach) / estimate.sigma
     worst = int(np.argmax(np.abs(shares)))
 
     def off_by(name: str) -> float:
@@ -137,11 +135,38 @@ def score(result: Identification, plant: Robot, runs: list[Recording]) -> Score:
         friction=max(off_by(name) for name in estimate.names if name in FRICTION),
         tilt=float(np.linalg.norm(tilt - values_of(plant, ["pose_tilt.x", "pose_tilt.y"]))),
         center=float(np.linalg.norm(result.robot.center_of_mass - plant.center_of_mass)),
-        nees=float(shares @ np.linalg.solve(estimate.correlation, shares) / len(off)),
+        nees=float(shares @ np.linalg.solve(estimate.correlation, shares) / len(shares)),
         beyond=int((np.abs(shares) > 3.0).sum()),
         worst=f"{abs(shares[worst]):.1f} {estimate.names[worst]}",
-        count=len(off),
+        count=len(shares),
     )
+
+
+def errors_along_curves(estimate: ParameterEstimate, true: Array, reach: float) -> Array:
+    """Return errors of parameters, along the curves on which their covariance knows them.
+
+    What is in proportion to forces or masses is known by its logarithm. Motion shows the EA of a
+    cable over its whole length; a covariance tells how that changes with the length to first order.
+
+    Args:
+        estimate: k parameters.
+        true: Of the robot that moved, shape (k,).
+        reach: Mean length of the cables at home [m], without their run.
+
+    Returns:
+        shape (k,), in units of the parameters.
+    """
+    names, value = estimate.names, estimate.value
+    alike = [name in estimate.factors or field_of(name) in ALIKE for name in names]
+    factor = np.array(alike) & (value > 0.0)  # friction may be found to be none
+    off = value - true
+    off[factor] = value[factor] * np.log(value[factor] / true[factor])
+    if "run_length" in names and "axial_stiffness" in names:
+        run, stiffness = names.index("run_length"), names.index("axial_stiffness")
+        whole, whole_true = reach + value[run], reach + true[run]
+        bend = np.log(whole / whole_true) - (whole - whole_true) / whole
+        off[stiffness] -= value[stiffness] * bend
+    return off
 
 
 def _frequency_error(found: Robot, plant: Robot, run: Recording) -> float:

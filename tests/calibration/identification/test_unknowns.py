@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 import carosac_toolkit as ct
+from benchmarks.calibration_oscillations import errors_along_curves
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.spread import Spread
 from calibration.identification.unknowns import choose_coordinates, group_of
@@ -229,6 +230,21 @@ def test_the_covariance_of_parameters_along_a_curve_is_that_of_where_draws_lead(
     variance = estimate.sigma**2
     expected = share**2 + beyond
     assert variance[mass] / unknowns.robot.mass**2 == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["axial_stiffness", "run_length", "mass", "drag"])
+def test_the_benchmark_scores_errors_along_the_curves_of_the_coordinates(unknowns, name):
+    """Far apart as well: there errors are what a covariance along straight lines is of."""
+    names = unknowns.prior.names
+    at, true = np.full(len(names), 1.5), np.full(len(names), 0.1)
+    estimate = unknowns.estimate(at, Spread.straight(unknowns.prior.covariance))
+    values = values_of(unknowns.robot_at(true), names)
+    row, step = names.index(name), 1e-6 * (at - true)
+    straight = 1e6 * (estimate.value - values_of(unknowns.robot_at(at - step), names))[row]
+    off = errors_along_curves(estimate, values, unknowns.reach)[row]
+    assert off == pytest.approx(straight, rel=1e-4)
+    if name != "run_length":
+        assert abs(estimate.value[row] - values[row] - straight) > 0.01 * abs(straight)
 
 
 def test_some_fields_are_again_as_the_file_has_them(unknowns):
