@@ -357,16 +357,16 @@ class Fitter:
             hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
             settled = self._promise(step, hessian, gradient) <= AVERAGES_DECREASE * self._count
-            information = hessian - self._precision
-            hessian = self._believed(information, errors, noise) + self._precision
-            if settled:  # the last one is along the same lines
-                end = self._moved(at, step)
-                for error, jacobian, own in zip(errors, jacobians, self._own, strict=True):
-                    error += jacobian @ (end - at)[own]
-                at = end
             if settled or count >= self._settings.iterations:
                 break
+            information = hessian - self._precision
+            hessian = self._believed(information, errors, noise) + self._precision
             at = self._moved(at, step)
+        if settled:  # a last step, along the same lines
+            end = self._moved(at, step)
+            for error, jacobian, own in zip(errors, jacobians, self._own, strict=True):
+                error += jacobian @ (end - at)[own]
+            at = end
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
     def _report(self, report: ProgressCallback, errors: Sequence[Array]) -> None:
@@ -649,9 +649,10 @@ class Fitter:
         searched = self._searched.copy()
         alike = self._told_by_alike(searched)
         axes, lower = axes_of_robot(hessian, searched, self._count), self._lower - at
+        covariance = np.asarray(np.linalg.inv(hessian), float)
         varied = self._varied(searched)
         moves = [
-            scattered_moves(axes, hessian, self._count, rows, lower)
+            scattered_moves(axes, hessian, covariance, self._count, rows, lower)
             if len(rows)
             else np.zeros((1, 0))
             for rows in varied
@@ -661,16 +662,18 @@ class Fitter:
             each[:, rows] += move
         found, good = self._simulated(points)
         if not all(each.all() for each in good):
-            raise CarosacError("identification: no finite motion of a robot as likely as the best")
+            raise CarosacError("identification: no finite motion of a robot that fits as well")
         errors, jacobians, self._linear = [], [], []
         for k, (rows, move, more) in enumerate(
             zip(varied, moves, self._correction.errors, strict=True)
         ):
-            linear = Linearization.of(move, found[k]) if len(rows) else None
-            linear = linear or Linearization.nowhere(here[k] - more)
+            linear = (
+                Linearization.of(move, found[k])
+                if len(rows)
+                else Linearization.nowhere(here[k] - more)
+            )
             errors.append(linear.mean + more)
-            same = np.eye(len(rows))
-            jacobians.append(self._simulator.by_coordinates(k, rows, same, linear.slopes))
+            jacobians.append(self._simulator.by_coordinates(k, rows, linear.slopes))
             self._linear.append(linear)
         if alike:
             self._fill_alike(jacobians)

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identification.quadratic import Quadratic
 from calibration.identification.spread import cut
 from carosac_toolkit.base.arrays import Array
 
@@ -105,13 +106,19 @@ def axes_of_robot(hessian: Array, searched: NDArray[np.bool_], robot: int) -> Ar
 
 
 def scattered_moves(
-    axes: Array, hessian: Array, robot: int, rows: NDArray[np.int64], lower: Array
+    axes: Array,
+    hessian: Array,
+    covariance: Array,
+    robot: int,
+    rows: NDArray[np.int64],
+    lower: Array,
 ) -> Array:
     """Return moves of a run's coordinates ahead and then back, shape (2 (q + MORE_PAIRS), q).
 
     Args:
         axes: Of the robot, as of `axes_of_robot`.
         hessian: Of the cost.
+        covariance: Its inverse.
         robot: How many coordinates are of the robot.
         rows: Of the q coordinates that are searched of the run.
         lower: How far all coordinates may move down, shape (p,).
@@ -124,8 +131,8 @@ def scattered_moves(
     angle = 2.0 * np.pi * np.outer(np.arange(pairs), np.arange(len(along))) / pairs
     ahead = (np.cos(angle) + np.sin(angle)) @ along  # columns are orthogonal (Hartley)
     moves = np.concatenate([ahead, -ahead])
-    covariance = np.asarray(np.linalg.inv(hessian)[np.ix_(rows, rows)], float)
-    return cut(moves, covariance, lower[rows], np.full(len(rows), np.inf))
+    own = covariance[np.ix_(rows, rows)]
+    return cut(moves, own, lower[rows], np.full(len(rows), np.inf))
 
 
 def is_stale(moved: Array, hessian: Array, robot: int) -> bool:
@@ -136,10 +143,8 @@ def is_stale(moved: Array, hessian: Array, robot: int) -> bool:
         hessian: Of the cost.
         robot: How many coordinates are of the robot.
     """
-    own, start = slice(robot), slice(robot, None)
-    follow = np.linalg.solve(hessian[start, start], hessian[start, own] @ moved[own])
-    far = moved[own] @ (hessian[own, own] @ moved[own] - hessian[own, start] @ follow)
-    return bool(far > STALE_SIGMAS**2 * robot)
+    cost = Quadratic(cost=0.0, gradient=np.zeros(len(moved)), information=hessian)
+    return cost.least_beside(robot).at(moved[:robot]) > STALE_SIGMAS**2 * robot
 
 
 def _along_axes(information: Array) -> Array:

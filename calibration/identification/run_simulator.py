@@ -131,40 +131,35 @@ class RunSimulator:
         errors, good = self.errors(runs, points, time_step, refined=refined)
         jacobians = []
         for k, (rows, each) in enumerate(zip(varied, errors, strict=True)):
-            steps = size * np.eye(len(rows))
-            self.check_motion(good[k], rows, steps)
-            jacobians.append(self.by_coordinates(k, rows, steps, each[1:] - each[0]))
+            self._check_motion(good[k], rows)
+            jacobians.append(self.by_coordinates(k, rows, (each[1:] - each[0]) / size))
         return jacobians
 
-    def check_motion(self, sound: NDArray[np.bool_], rows: NDArray[np.int64], steps: Array) -> None:
-        """Refuse a robot that does not move, here or after steps of some coordinates.
+    def _check_motion(self, sound: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
+        """Refuse a robot that does not move, here or with another value of a coordinate.
 
         Args:
-            sound: Which robots have a finite motion, the first here, shape (1 + d,).
-            rows: Of the coordinates that change, p of them.
-            steps: shape (d, p).
+            sound: Which robots have a finite motion, the first here, shape (1 + p,).
+            rows: Of the p coordinates that change, one after the other.
 
         Raises:
-            CarosacError: With the coordinate that changes most.
+            CarosacError: With the coordinate that changes.
         """
         if not sound.all():
             row = int(np.argmin(sound)) - 1
-            name = "" if row < 0 else self._names[rows[np.argmax(np.abs(steps[row]))]]
-            beside = f" with another {name}" if name else ""
+            beside = "" if row < 0 else f" with another {self._names[rows[row]]}"
             raise CarosacError(f"identification: no finite motion of the robot{beside}")
 
-    def by_coordinates(self, k: int, rows: NDArray[np.int64], steps: Array, change: Array) -> Array:
-        """Return derivatives (K, 6, p) of a run's errors from its change.
+    def by_coordinates(self, k: int, rows: NDArray[np.int64], slopes: Array) -> Array:
+        """Return derivatives (K, 6, p) of a run's errors by all that it depends on.
 
         Args:
             k: Run.
             rows: Of the p' coordinates that change; derivatives by the others are 0.
-            steps: In rows, shape (p', p').
-            change: Of the errors after each, shape (p', K, 6).
+            slopes: By these, shape (p', K, 6).
         """
-        jacobian = np.zeros((*change.shape[1:], len(self._own[k])))
-        slope = np.moveaxis(change, 0, 2) @ np.linalg.inv(steps).T
-        jacobian[:, :, np.isin(self._own[k], rows)] = slope
+        jacobian = np.zeros((*slopes.shape[1:], len(self._own[k])))
+        jacobian[:, :, np.isin(self._own[k], rows)] = np.moveaxis(slopes, 0, 2)
         return jacobian
 
     def _robot(self, coordinates: Array, known: dict[bytes, Robot | None]) -> Robot | None:

@@ -35,7 +35,7 @@ def moves_of(hessian, k, lower=-np.inf) -> tuple[np.ndarray, np.ndarray]:
     rows = np.r_[:ROBOT, rows_of_start(k)]
     axes = axes_of_robot(hessian, searched, ROBOT)
     bounds = np.where(np.arange(len(hessian)) == 1, lower, -np.inf)
-    return rows, scattered_moves(axes, hessian, ROBOT, rows, bounds)
+    return rows, scattered_moves(axes, hessian, np.linalg.inv(hessian), ROBOT, rows, bounds)
 
 
 def test_moves_scatter_as_the_covariance_says():

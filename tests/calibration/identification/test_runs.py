@@ -51,6 +51,7 @@ from calibration.identification.synthetic_oscillations import (
 )
 from calibration.identification.unknowns import choose_coordinates
 from calibration.identification.vibrations import HiddenVibrations
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest import statics
@@ -267,6 +268,21 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
     assert by_chance > 0.0 and abs(left) < 0.3 * by_chance
 
 
+def test_a_robot_that_is_likely_and_does_not_move_is_named(near, monkeypatch):
+    fitter, at, *_, information = near
+    simulated = fitter._simulated
+
+    def failing(points, *, refined=1):
+        found, good = simulated(points, refined=refined)
+        good[3] = good[3] & (np.arange(len(good[3])) < 5)
+        return found, good
+
+    monkeypatch.setattr(fitter, "_hidden", None)
+    monkeypatch.setattr(fitter, "_simulated", failing)
+    with pytest.raises(CarosacError, match="no finite motion of a robot that fits as well"):
+        fitter._linearized(at, information + fitter._precision)
+
+
 def test_hidden_vibrations_are_found_anew_where_a_search_has_left(near):
     fitter, _, _, _, _, _, information = near
     hessian = information + fitter._precision
@@ -332,7 +348,9 @@ def test_moves_of_some_sigmas_lead_to_robots(near):
     cut = fitter._names.index("exit_friction")
     on_bound = 0
     for rows in fitter._varied(searched):
-        moves = scattered_moves(axes, hessian, fitter._count, rows, fitter._lower - at)
+        moves = scattered_moves(
+            axes, hessian, np.linalg.inv(hessian), fitter._count, rows, fitter._lower - at
+        )
         assert np.linalg.matrix_rank(moves) == len(rows)
         ends = np.tile(at, (len(moves), 1))
         ends[:, rows] += moves
