@@ -1,9 +1,9 @@
 """Motion as a linear function of coordinates, over all that they may be.
 
-Where cables vibrate as a platform sways, motion is rugged: a little more or less of a parameter
-changes it by as much as some more. Differences over short steps then tell of ruggedness, and a
-search by them ends in any of its dips and claims to know it. What counts is how motion changes over
-what is left of uncertainty. Errors are simulated at points that scatter as the coordinates may, and
+Where cables vibrate as a platform sways, motion is rugged: it changes as much with a little more of
+a parameter as with much more. Differences over short steps then tell of the ruggedness, and a
+search by them ends in any dip and claims to know it. What counts is how motion changes over what is
+left of uncertainty. Errors are simulated at points that scatter as the coordinates may, and
 their linear regression has three parts: means, slopes, and what is beyond a linear function, which
 counts as noise that the errors of a run have in common. The search ends where means fit best.
 
