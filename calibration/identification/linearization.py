@@ -149,5 +149,5 @@ def is_stale(moved: Array, hessian: Array, robot: int) -> bool:
 
 def _along_axes(information: Array) -> Array:
     """Return steps of one sigma along the axes of a covariance, in rows."""
-    variance, axes = np.linalg.eigh(np.linalg.inv(information))
-    return np.asarray((axes * np.minimum(np.sqrt(variance), AXIS_MAX)).T)
+    told, axes = np.linalg.eigh(information)  # of an inverse, rounding hides what is known best
+    return np.asarray((axes / np.sqrt(np.maximum(told, AXIS_MAX**-2))).T)

@@ -109,3 +109,13 @@ def test_along_a_cubic_slopes_are_those_of_a_line_through_all_points():
     freedoms = len(moves) // 2 - moves.shape[1]
     variance = np.einsum("nd,nd->n", found.beyond, found.beyond)
     assert variance == pytest.approx(0.5 * left @ left / freedoms)
+
+
+def test_moves_are_as_short_as_what_is_known_best():
+    """Also where it is known a million times as well as what is known worst."""
+    told = 10.0 ** np.linspace(0.0, 12.0, ROBOT)
+    axes = np.linalg.qr(np.random.default_rng(5).standard_normal((ROBOT, ROBOT)))[0]
+    hessian = np.eye(ROBOT + START)
+    hessian[:ROBOT, :ROBOT] = (axes * told) @ axes.T
+    moves = axes_of_robot(hessian, np.ones(len(hessian), dtype=bool), ROBOT)
+    assert np.sort(np.linalg.norm(moves, axis=1))[:2] == pytest.approx([1e-6, 10**-4.5], rel=0.01)
