@@ -44,6 +44,7 @@ class TargetReader:
         """Forget the tensions of rest."""
         self._where: Array = np.full((2, 3), np.nan)
         self._tension: Array | None = None
+        self._found = np.zeros(2, dtype=np.bool_)
         self.no_rest = 0
 
     def at(self, position: Array) -> Array:
@@ -52,6 +53,11 @@ class TargetReader:
         Where there is none, they are as `rests` has them.
         """
         return np.asarray(self._rest(np.stack([position, position]))[0])
+
+    def rest_at(self, position: Array) -> Array | None:
+        """Return tensions of rest at a position (3,) [N], shape (n,); None: there is no rest."""
+        tension = self.at(position)
+        return tension if self._found.all() else None
 
     def read(self, reference: Reference) -> PlanTarget:
         """Interpolate the reference between its rows; hold the last row beyond them."""
@@ -96,8 +102,8 @@ class TargetReader:
         """Return the tensions of rest at both positions [N], shape (2, n)."""
         if self._tension is None or not np.array_equal(self._where, ends):
             self._where = ends
-            self._tension, found = rests(self._robot, ends, self._tension, self._distribution)
-            self.no_rest += int((~found).sum())
+            self._tension, self._found = rests(self._robot, ends, self._tension, self._distribution)
+            self.no_rest += int((~self._found).sum())
         return self._tension
 
 

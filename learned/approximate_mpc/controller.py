@@ -49,6 +49,7 @@ from learned.approximate_mpc.motion import FastMotion
 from learned.approximate_mpc.networks import load_network, network_for
 from learned.approximate_mpc.plan_inputs import PlanCallback, PlanInputs, UnreadableInputs
 from learned.approximate_mpc.plan_network import PlanNetwork
+from learned.approximate_mpc.resting_attitude import RestingAttitude
 from learned.approximate_mpc.taut_cables import TautCables
 from learned.policy_controller import BOX_EXCESS_MAX
 from learned.reference_rows import ReferenceRows, require_rows
@@ -89,6 +90,7 @@ class PlanFollower:
         settings: MpcSettings,
         *,
         tension_share: float = 1.0,
+        turns_back: bool = False,
         compiled: Compiled = "never",
     ) -> None:
         """Prepare for a robot of three to five cables.
@@ -98,6 +100,9 @@ class PlanFollower:
             settings: Of MPC.
             tension_share: Of the way to new tensions, in a command. Beliefs tremble as cables
                 vibrate; what trembles less is sent back less, and later.
+            turns_back: Whether a platform that errors of plans have turned is turned back, as
+                `RestingAttitude` has it; three cables hold it in one attitude. Training drives do
+                without, so that networks learn from their own errors.
             compiled: Whether what a command does is compiled for the robot, which takes seconds the
                 first time; as in `MpcSettings`.
 
@@ -134,6 +139,12 @@ class PlanFollower:
         self._chase = CHASE_DISTANCE_MAX.of(self.ratios)
         self._blocks = model.parameter_rows(robot.n)
         self._targets = TargetReader(robot, self.grid, self.settings.distribution)
+        self._attitude = (
+            RestingAttitude(
+                robot, self._targets.rest_at, self._taut.wanted, self.habit_share, self.grid,
+                self.period,
+            ) if turns_back and robot.n > 3 else None
+        )  # fmt: skip
         self._usual_place: Array | None = None
         self._usual_tension: Array = np.zeros(robot.n)
         self._tension_share = tension_share
@@ -224,7 +235,8 @@ class PlanFollower:
     def follow(self, inputs: PlanInputs, tension: Array, excess: Array) -> Array:
         """Return the command (n,) [m] for the first tensions of a plan, and their sag less stretch.
 
-        Weak cables pull more than planned, as `TautCables` has it.
+        Weak cables pull more than planned, as `TautCables` has it, and so do those that turn the
+        platform back, as `RestingAttitude` has it.
 
         Args:
             inputs: As `look` returned them.
@@ -233,6 +245,8 @@ class PlanFollower:
                 no cable hangs so, what is sent comes to rest.
         """
         tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
+        if self._attitude is not None:
+            tension, excess = self._attitude.pull(inputs, tension, excess)
         tension, excess = self._taut.pull(inputs, tension, excess)
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)
@@ -275,6 +289,8 @@ class PlanFollower:
         self._acceleration = np.zeros(6)
         self._gain.reset()
         self._usual_place = None
+        if self._attitude is not None:
+            self._attitude.reset()
 
     def _twist(self, belief: Belief) -> Array:
         """Return the believed twist; without one, the prediction corrected by the pose."""
@@ -383,8 +399,9 @@ class ApproximateMpc:
         self._network = network
         settings = network.settings_of(robot)
         self._follower = PlanFollower(
-            robot, settings, tension_share=network.tension_share, compiled=settings.compiled
-        )
+            robot, settings, tension_share=network.tension_share,
+            turns_back=network.turns_back, compiled=settings.compiled,
+        )  # fmt: skip
         self.period = self._follower.period
         self._fallback = ShapedFallback(robot, self.period, continues=True)
         self.horizon = max(self._follower.horizon, self._fallback.horizon)

@@ -64,9 +64,11 @@ class FamilyNetwork:
     Attributes:
         description: What it was trained for.
         tension_share: See `PlanFollower`.
+        turns_back: The same; how it does over the whole family was not measured.
     """
 
     tension_share = TENSION_SHARE
+    turns_back = False
 
     def __init__(self, tell: Perceptron, description: FamilyDescription) -> None:
         self.description, self._tell = description, tell

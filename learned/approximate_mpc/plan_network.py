@@ -82,7 +82,10 @@ class PlanNetwork:
         description: What it was trained for.
         settings: Of MPC, for `PlanFollower`.
         tension_share: The same.
+        turns_back: The same.
     """
+
+    turns_back = True
 
     def __init__(self, tell: Perceptron, description: PlanDescription) -> None:
         self.description, self._tell = description, tell

@@ -31,12 +31,15 @@ class TautCables:
     """Adds what weak cables miss to the tensions of a plan.
 
     A plan of changes from usual tensions follows what is added: usual tensions move at a rate.
+
+    Attributes:
+        wanted: Tensions below which a cable is weak [N], shape (n,).
     """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._margin = MARGIN * robot.weight / robot.n
-        self._wanted = robot.tension_min + self._margin
+        self.wanted: Array = robot.tension_min + self._margin
 
     def pull(self, inputs: PlanInputs, tension: Array, excess: Array) -> tuple[Array, Array]:
         """Return tensions [N] (n,) whose weak cables pull more, and sag less stretch [m] (n,).
@@ -49,7 +52,7 @@ class TautCables:
             tension: Planned, within the limits [N], shape (n,).
             excess: Sag less stretch of these [m], shape (n,).
         """
-        reserve = inputs.usual_tension - self._wanted
+        reserve = inputs.usual_tension - self.wanted
         if not reserve.min() < 0.0:
             return tension, excess
         pose = self._robot, inputs.position, inputs.rotation
@@ -77,9 +80,20 @@ class TautCables:
             return np.zeros(len(tension))
         up = np.maximum(self._robot.tension_max - tension, 0.0)
         added *= GAIN * min(AMPLIFICATION_MAX, float((shortfall[helped] / added[helped]).min()))
-        falls, gains = added < 0.0, added > 0.0
-        share = np.concatenate([down[falls] / -added[falls], up[gains] / added[gains]])
-        return np.asarray(min(1.0, float(share.min())) * added)
+        return np.asarray(share_within(added, down, up) * added)
+
+
+def share_within(added: Array, down: Array, up: Array) -> float:
+    """Return the largest share of added tensions, at most 1, that goes no farther than they may.
+
+    Args:
+        added: [N], shape (n,).
+        down: How far each may fall, from 0 on [N], shape (n,).
+        up: The same of rising.
+    """
+    falls, gains = added < 0.0, added > 0.0
+    share = np.concatenate([down[falls] / -added[falls], up[gains] / added[gains]])
+    return float(share.min(initial=1.0))
 
 
 def _projected(wanted: Array, direction: Array, *, blocked: NDArray[np.bool_]) -> Array:

@@ -1,0 +1,120 @@
+"""Tensions of the null space, by which a platform turns back to the attitude in which it rests.
+
+A platform on more than three cables rests at one place in many attitudes, each with other tensions.
+MPC plans with those of rest in mind; a network does without, as they take longer to find than its
+plan. Its small errors add up in the null space of the force rows of the structure matrix: the
+platform keeps the attitude to which they have turned it, and on a plant whose exit points are off
+an estimate of the place shifts with it. A slow pull in that null space turns the platform back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from baselines.mpc.geometry import excess_at, geometry_at
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
+from learned.approximate_mpc.plan_inputs import PlanInputs
+from learned.approximate_mpc.taut_cables import share_within
+
+# Of what usual tensions miss, in the time in which tensions become usual. On twenty plants of
+# `carosac` that are in no benchmark half and twice as much did as well.
+GAIN = 0.4
+MISSED_MAX = 0.25  # of the weight per cable: tensions farther from those of rest come back slower
+HELD_CYCLES = 10  # for which a pull is held
+
+RestCallback = Callable[[Array], Array | None]
+"""Gives the tensions of rest [N] (n,) at a position (3,) [m]; None: there is no rest."""
+
+
+class RestingAttitude:
+    """A pull from usual tensions to those of rest, by their part that adds no force."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        rest: RestCallback,
+        wanted: Array,
+        share: float,
+        grid: Array,
+        period: float,
+    ) -> None:
+        """Take a robot of n cables.
+
+        Args:
+            robot: Robot description.
+            rest: Gives tensions of rest.
+            wanted: Below which a cable is weak [N], shape (n,): the pull leaves none weak.
+            share: Of the way by which tensions become usual, a cycle.
+            grid: Times of a plan from now [s], shape (N + 1,).
+            period: Of the cycle [s].
+        """
+        self._robot, self._rest_at, self._wanted, self._share = robot, rest, wanted, share
+        self._missed_max = MISSED_MAX * robot.weight / robot.n
+        self._ahead = int(np.abs(grid - 0.5 * HELD_CYCLES * period).argmin())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all tensions of rest; usual ones are next taken to be those of rest."""
+        none: Array = np.zeros(self._robot.n)
+        self._count = 0
+        self._rest: Array | None = None
+        self._usual_rest: Array = none
+        self._pull, self._excess = none, none
+
+    def pull(self, inputs: PlanInputs, tension: Array, excess: Array) -> tuple[Array, Array]:
+        """Return tensions [N] (n,) that turn the platform back, and sag less stretch [m] (n,).
+
+        To be called in each cycle. Tensions stay within the limits of the robot.
+
+        Args:
+            inputs: Of the plan.
+            tension: Planned, within the limits [N], shape (n,).
+            excess: Sag less stretch of these [m], shape (n,).
+        """
+        if self._count % HELD_CYCLES == 0:
+            self._find_rest(inputs)
+            self._find_pull(inputs, tension)
+        self._count += 1
+        if self._rest is not None:
+            self._usual_rest = self._usual_rest + self._share * (self._rest - self._usual_rest)
+        raised = tension + self._pull
+        limits = self._robot.tension_min, self._robot.tension_max
+        if ((raised < limits[0]) | (raised > limits[1])).any():
+            share = share_within(self._pull, tension - limits[0], limits[1] - tension)
+            return tension + share * self._pull, excess + share * self._excess
+        return raised, excess + self._excess
+
+    def _find_rest(self, inputs: PlanInputs) -> None:
+        """Bring tensions of rest up to date; where there is no rest they stay."""
+        if self._rest is None:
+            first = self._rest_at(inputs.target[0])
+            if first is None:
+                return
+            self._rest = self._usual_rest = first
+        found = self._rest_at(inputs.target[self._ahead])
+        self._rest = self._rest if found is None else found
+
+    def _find_pull(self, inputs: PlanInputs, tension: Array) -> None:
+        """Find what is added in the next cycles to tensions (n,) [N] and to sag less stretch.
+
+        Args:
+            inputs: Of the plan.
+            tension: Planned, within the limits [N], shape (n,).
+        """
+        self._pull = self._excess = np.zeros(self._robot.n)
+        if self._rest is None:
+            return
+        pose = self._robot, inputs.position, inputs.rotation
+        geometry = geometry_at(*pose)
+        direction, missed = geometry.direction, self._usual_rest - inputs.usual_tension
+        missed = missed - direction @ np.linalg.lstsq(direction, missed, rcond=None)[0]
+        pull = GAIN * missed * self._missed_max / max(self._missed_max, np.abs(missed).max())
+        reserve = np.minimum(inputs.usual_tension - self._wanted, tension - self._robot.tension_min)
+        pull *= share_within(pull, np.maximum(reserve, 0.0), self._robot.tension_max - tension)
+        if pull.any():
+            change = excess_at(*pose, tension + pull, geometry)
+            change = change - excess_at(*pose, tension, geometry)
+            self._pull, self._excess = pull, np.where(np.isfinite(change), change, 0.0)
