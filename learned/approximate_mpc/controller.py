@@ -244,9 +244,9 @@ class PlanFollower:
             excess: Sag less stretch at the end of the period [m], shape (n,); where it is NaN, as
                 no cable hangs so, what is sent comes to rest.
         """
-        tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
         if self._attitude is not None:
             tension, excess = self._attitude.pull(inputs, tension, excess)
+        tension = np.minimum(np.maximum(tension, self.robot.tension_min), self.robot.tension_max)
         tension, excess = self._taut.pull(inputs, tension, excess)
         if self._pull is not None:
             tension = self._pull + self._tension_share * (tension - self._pull)

@@ -23,7 +23,7 @@ from learned.approximate_mpc.taut_cables import share_within
 # tracking is the same, and cables of `carosac` go slack as often as those of MPC, which is more.
 GAIN = 0.1
 MISSED_MAX = 0.25  # of the weight per cable: tensions farther from those of rest come back slower
-HELD_CYCLES = 10  # for which a pull is held
+HELD_CYCLES = 25  # for which a pull is held: it takes several times as long as a plan
 
 RestCallback = Callable[[Array], Array | None]
 """Gives the tensions of rest [N] (n,) at a position (3,) [m]; None: there is no rest."""
@@ -51,7 +51,8 @@ class RestingAttitude:
             grid: Times of a plan from now [s], shape (N + 1,).
             period: Of the cycle [s].
         """
-        self._robot, self._rest_at, self._wanted, self._share = robot, rest, wanted, share
+        self._robot, self._rest_at, self._wanted = robot, rest, wanted
+        self._usual_share = 1.0 - (1.0 - share) ** HELD_CYCLES  # while a pull is held
         self._missed_max = MISSED_MAX * robot.weight / robot.n
         self._ahead = int(np.abs(grid - 0.5 * HELD_CYCLES * period).argmin())
         self.reset()
@@ -67,25 +68,19 @@ class RestingAttitude:
     def pull(self, inputs: PlanInputs, tension: Array, excess: Array) -> tuple[Array, Array]:
         """Return tensions [N] (n,) that turn the platform back, and sag less stretch [m] (n,).
 
-        To be called in each cycle. Tensions stay within the limits of the robot.
+        To be called in each cycle. While a pull is held, plans may lead tensions out of the limits
+        of the robot.
 
         Args:
             inputs: Of the plan.
-            tension: Planned, within the limits [N], shape (n,).
+            tension: Planned [N], shape (n,).
             excess: Sag less stretch of these [m], shape (n,).
         """
         if self._count % HELD_CYCLES == 0:
             self._find_rest(inputs)
             self._find_pull(inputs, tension)
         self._count += 1
-        if self._rest is not None:
-            self._usual_rest = self._usual_rest + self._share * (self._rest - self._usual_rest)
-        raised = tension + self._pull
-        limits = self._robot.tension_min, self._robot.tension_max
-        if ((raised < limits[0]) | (raised > limits[1])).any():
-            share = share_within(self._pull, tension - limits[0], limits[1] - tension)
-            return tension + share * self._pull, excess + share * self._excess
-        return raised, excess + self._excess
+        return tension + self._pull, excess + self._excess
 
     def _find_rest(self, inputs: PlanInputs) -> None:
         """Bring tensions of rest up to date; where there is no rest they stay."""
@@ -94,6 +89,7 @@ class RestingAttitude:
             if first is None:
                 return
             self._rest = self._usual_rest = first
+        self._usual_rest = self._usual_rest + self._usual_share * (self._rest - self._usual_rest)
         found = self._rest_at(inputs.target[self._ahead])
         self._rest = self._rest if found is None else found
 
@@ -102,7 +98,7 @@ class RestingAttitude:
 
         Args:
             inputs: Of the plan.
-            tension: Planned, within the limits [N], shape (n,).
+            tension: Planned [N], shape (n,).
         """
         self._pull = self._excess = np.zeros(self._robot.n)
         if self._rest is None:
@@ -112,8 +108,9 @@ class RestingAttitude:
         direction, missed = geometry.direction, self._usual_rest - inputs.usual_tension
         missed = missed - direction @ np.linalg.lstsq(direction, missed, rcond=None)[0]
         pull = GAIN * missed * self._missed_max / max(self._missed_max, np.abs(missed).max())
-        reserve = np.minimum(inputs.usual_tension - self._wanted, tension - self._robot.tension_min)
-        pull *= share_within(pull, np.maximum(reserve, 0.0), self._robot.tension_max - tension)
+        low, high = self._robot.tension_min, self._robot.tension_max
+        down = np.minimum(inputs.usual_tension - self._wanted, tension - low)
+        pull *= share_within(pull, np.maximum(down, 0.0), np.maximum(high - tension, 0.0))
         if pull.any():
             change = excess_at(*pose, tension + pull, geometry)
             change = change - excess_at(*pose, tension, geometry)
