@@ -339,13 +339,16 @@ class Fitter:
     ) -> Search:
         """Search to the end by errors that are linear over what is left of uncertainty.
 
+        Points that scatter anew let steps jump about the end by chance. Each that turns the robot
+        back against the one before makes later ones shorter (Kesten 1958): chance averages out.
+
         Args:
             at: All coordinates, near to the end.
             hessian: Of the cost there, about.
             count: Steps until there.
             report: As of `run`.
         """
-        found, settled = None, False
+        found, last, turns, settled = None, np.zeros(len(at)), 1, False
         while True:
             count += 1
             if found is None or is_stale(at - found, hessian, self._count):
@@ -356,7 +359,10 @@ class Fitter:
             self._report(report, errors)
             hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
-            settled = self._promise(step, hessian, gradient) <= AVERAGES_DECREASE * self._count
+            turns += self._turns_back(last, step, hessian)
+            promise = self._promise(step, hessian, gradient) / turns**2
+            last, step = step, step / turns
+            settled = promise <= AVERAGES_DECREASE * self._count
             if settled or count >= self._settings.iterations:
                 break
             information = hessian - self._precision
@@ -368,6 +374,12 @@ class Fitter:
                 error += jacobian @ (end - at)[own]
             at = end
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
+
+    def _turns_back(self, last: Array, step: Array, hessian: Array) -> bool:
+        """Say whether a step turns the robot back, once starts have followed."""
+        own = slice(self._count)
+        left = self._marginal(hessian - self._precision) + self._precision[own, own]
+        return bool(last[own] @ left @ step[own] < 0.0)
 
     def _report(self, report: ProgressCallback, errors: Sequence[Array]) -> None:
         """Report errors of all runs, before a step."""

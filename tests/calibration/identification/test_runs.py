@@ -32,6 +32,7 @@ from calibration.identification.open_loop import (
     first_equilibrium,
     simulate_runs,
 )
+from calibration.identification.quadratic import Quadratic
 from calibration.identification.runs import (
     FittedRun,
     averaged_rate,
@@ -723,3 +724,45 @@ def test_a_recording_that_does_not_fit_counts_as_one_with_noise_of_its_own():
     step = 1e-6 * errors[0]
     slope = (again.cost(bad + step) - again.cost(bad - step)) / 2.0
     assert slope == pytest.approx(2.0 * float((again.weights(bad) * bad * step).sum()), rel=1e-4)
+
+
+def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
+    """The end of a search is nearer to that of all chances than these are."""
+    fitter, at, errors, noise, _, exact, information = near
+    rng = np.random.default_rng(3)
+    hessian = information + fitter._precision
+    fitter._fill_alike(exact)
+    still = [HiddenVibrations.none(each) for each in errors]
+    monkeypatch.setattr(fitter, "_linear", None)
+    monkeypatch.setattr(fitter, "_doubts", None)
+    monkeypatch.setattr(fitter, "_hidden_vibrations", lambda at, sigma: still)
+    monkeypatch.setattr(fitter, "_noise", lambda errors: noise)
+    sigma = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    size = 0.5 * np.where(np.arange(len(at)) < fitter._count, sigma, 0.0)
+    white = [np.zeros_like(each) for each in errors]
+
+    def linearized(point, _):
+        away = point - at + size * rng.standard_normal(len(at))
+        found = [
+            each + jacobian @ away[own]
+            for each, jacobian, own in zip(white, exact, fitter._own, strict=True)
+        ]
+        return found, exact
+
+    monkeypatch.setattr(fitter, "_linearized", linearized)
+    monkeypatch.setattr(fitter, "_known_about", lambda point: Quadratic(
+        cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
+    ))  # fmt: skip
+    own = slice(fitter._count)
+    left = fitter._marginal(information) + fitter._prior[own, own]
+
+    def search():
+        found = fitter._settle_averages(at + 2.0 * size, hessian, 0, lambda *_: None)
+        away = (found.at - at)[own]
+        return found.settled, away @ left @ away
+
+    settled, away = search()
+    assert settled and away < 0.1 * (size[own] ** 2 @ np.diag(left))
+    monkeypatch.setattr(fitter, "_turns_back", lambda *_: False)
+    settled, farther = search()
+    assert not settled and farther > 5.0 * away
