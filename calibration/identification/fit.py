@@ -248,7 +248,7 @@ class Fitter:
         own = slice(self._count)
         scores = self._axes * excess * information  # as they vary, beside the prior
         root = inverse @ np.linalg.cholesky(scores + self._precision)
-        spread = self._spread(at, root)
+        spread = self._spread(at, self._no_worse_known(root))
         folds = self._folds(state, self._judge or self._by(noise))
         believed /= self._axes * excess
         if left_out:
@@ -283,6 +283,15 @@ class Fitter:
         known = (information + self._precision)[start, start]
         cross = information[own, start]
         return np.asarray(information[own, own] - cross @ np.linalg.solve(known, cross.T))
+
+    def _no_worse_known(self, root: Array) -> Array:
+        """Return the root of a covariance that nowhere leaves more open than was known before.
+
+        Scores vary by what slopes tell by chance too, which nothing holds against them.
+        """
+        lower = np.linalg.cholesky(self._precision)
+        axes, sigma, _ = np.linalg.svd(lower.T @ root)
+        return np.asarray(np.linalg.solve(lower.T, axes * np.minimum(sigma, 1.0)), float)
 
     def _spread(self, at: Array, root: Array) -> Spread:
         """Return how far off the robot may be, by the root of the covariance of all coordinates."""
@@ -339,8 +348,9 @@ class Fitter:
     ) -> Search:
         """Search to the end by errors that are linear over what is left of uncertainty.
 
-        Points that scatter anew let steps jump about the end by chance. Each that turns the robot
-        back against the one before makes later ones shorter (Kesten 1958): chance averages out.
+        Points that scatter otherwise let steps jump about the end. Each that turns the robot back
+        against the one before makes later ones shorter (Kesten 1958), so that jumps average out:
+        of what a whole step promises, about that share is left.
 
         Args:
             at: All coordinates, near to the end.
@@ -348,21 +358,22 @@ class Fitter:
             count: Steps until there.
             report: As of `run`.
         """
-        found, last, turns, settled = None, np.zeros(len(at)), 1, False
+        found, settled = None, False
         while True:
             count += 1
             if found is None or is_stale(at - found, hessian, self._count):
                 sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
                 self._hidden, found = self._hidden_vibrations(at, sigma), at
+                last, turns = np.zeros(len(at)), 1  # the end is another one
             errors, jacobians = self._linearized(at, hessian)
             noise = self._noise(errors)
             self._report(report, errors)
             hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
             turns += self._turns_back(last, step, hessian)
-            promise = self._promise(step, hessian, gradient) / turns**2
+            left = self._promise(step, hessian, gradient) / turns
             last, step = step, step / turns
-            settled = promise <= AVERAGES_DECREASE * self._count
+            settled = left <= AVERAGES_DECREASE * self._count
             if settled or count >= self._settings.iterations:
                 break
             information = hessian - self._precision

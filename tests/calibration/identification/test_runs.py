@@ -18,7 +18,7 @@ from benchmarks.calibration_oscillations import (
 from calibration.identification import linearization, procedure, search_state, spread
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
-from calibration.identification.fit import Fitter
+from calibration.identification.fit import AVERAGES_DECREASE, Fitter
 from calibration.identification.linearization import (
     Linearization,
     axes_of_robot,
@@ -728,21 +728,25 @@ def test_a_recording_that_does_not_fit_counts_as_one_with_noise_of_its_own():
 
 def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     """The end of a search is nearer to that of all chances than these are."""
-    fitter, at, errors, noise, _, exact, information = near
+    fitter, at, errors, noise, _, exact, _ = near
     rng = np.random.default_rng(3)
-    hessian = information + fitter._precision
     fitter._fill_alike(exact)
     still = [HiddenVibrations.none(each) for each in errors]
     monkeypatch.setattr(fitter, "_linear", None)
     monkeypatch.setattr(fitter, "_doubts", None)
     monkeypatch.setattr(fitter, "_hidden_vibrations", lambda at, sigma: still)
     monkeypatch.setattr(fitter, "_noise", lambda errors: noise)
-    sigma = np.sqrt(np.diag(np.linalg.inv(hessian)))
-    size = 0.5 * np.where(np.arange(len(at)) < fitter._count, sigma, 0.0)
-    white = [np.zeros_like(each) for each in errors]
+    white, own = [np.zeros_like(each) for each in errors], slice(fitter._count)
+    information, _ = fitter._normal(white, exact, noise)
+    hessian = information + fitter._precision
+    left = fitter._marginal(information) + fitter._prior[own, own]
+    root = np.linalg.cholesky(np.linalg.inv(left))
+
+    def jump(numbers):
+        return np.concatenate([0.5 * root @ numbers, np.zeros(len(at) - fitter._count)])
 
     def linearized(point, _):
-        away = point - at + size * rng.standard_normal(len(at))
+        away = point - at + jump(rng.standard_normal(fitter._count))
         found = [
             each + jacobian @ away[own]
             for each, jacobian, own in zip(white, exact, fitter._own, strict=True)
@@ -753,16 +757,30 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     monkeypatch.setattr(fitter, "_known_about", lambda point: Quadratic(
         cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
     ))  # fmt: skip
-    own = slice(fitter._count)
-    left = fitter._marginal(information) + fitter._prior[own, own]
+    begin = at + jump(np.full(fitter._count, 1.6))
 
     def search():
-        found = fitter._settle_averages(at + 2.0 * size, hessian, 0, lambda *_: None)
+        found = fitter._settle_averages(begin, hessian, 0, lambda *_: None)
         away = (found.at - at)[own]
         return found.settled, away @ left @ away
 
+    fitter._about(at, white, exact, noise)
+    step = jump(np.ones(fitter._count))
+    assert fitter._turns_back(step, -step, hessian)
+    assert not fitter._turns_back(step, 0.1 * step, hessian)
     settled, away = search()
-    assert settled and away < 0.1 * (size[own] ** 2 @ np.diag(left))
+    assert settled and away < 1.5 * AVERAGES_DECREASE * fitter._count
     monkeypatch.setattr(fitter, "_turns_back", lambda *_: False)
     settled, farther = search()
-    assert not settled and farther > 5.0 * away
+    assert not settled and farther > 2.0 * away
+
+
+def test_data_leave_nothing_more_open_than_it_was_before(near):
+    fitter, *_ = near
+    known = 0.5 * np.linalg.cholesky(np.linalg.inv(fitter._precision))
+    kept = fitter._no_worse_known(known)
+    assert kept @ kept.T == pytest.approx(known @ known.T, abs=1e-12)
+    wide = known.copy()
+    wide[3] *= 1e6
+    kept = fitter._no_worse_known(wide)
+    assert np.diag(kept @ kept.T)[3] == pytest.approx(np.linalg.inv(fitter._precision)[3, 3])
