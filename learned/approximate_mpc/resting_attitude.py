@@ -13,11 +13,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from baselines.mpc.geometry import excess_at, geometry_at
+from baselines.mpc.geometry import geometry_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.plan_inputs import PlanInputs
-from learned.approximate_mpc.taut_cables import share_within
+from learned.approximate_mpc.taut_cables import excess_change, share_within
 
 # Of what usual tensions miss, in the time in which tensions become usual. With four times as much
 # tracking is the same, and cables of `carosac` go slack as often as those of MPC, which is more.
@@ -103,8 +103,7 @@ class RestingAttitude:
         self._pull = self._excess = np.zeros(self._robot.n)
         if self._rest is None:
             return
-        pose = self._robot, inputs.position, inputs.rotation
-        geometry = geometry_at(*pose)
+        geometry = geometry_at(self._robot, inputs.position, inputs.rotation)
         direction, missed = geometry.direction, self._usual_rest - inputs.usual_tension
         missed = missed - direction @ np.linalg.lstsq(direction, missed, rcond=None)[0]
         pull = GAIN * missed * self._missed_max / max(self._missed_max, np.abs(missed).max())
@@ -112,6 +111,5 @@ class RestingAttitude:
         down = np.minimum(inputs.usual_tension - self._wanted, tension - low)
         pull *= share_within(pull, np.maximum(down, 0.0), np.maximum(high - tension, 0.0))
         if pull.any():
-            change = excess_at(*pose, tension + pull, geometry)
-            change = change - excess_at(*pose, tension, geometry)
-            self._pull, self._excess = pull, np.where(np.isfinite(change), change, 0.0)
+            self._pull = pull
+            self._excess = excess_change(self._robot, inputs, geometry, tension, tension + pull)

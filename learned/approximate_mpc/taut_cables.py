@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.mpc.geometry import excess_at, geometry_at
+from baselines.mpc.geometry import Geometry, excess_at, geometry_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 from learned.approximate_mpc.plan_inputs import PlanInputs
@@ -55,14 +55,12 @@ class TautCables:
         reserve = inputs.usual_tension - self.wanted
         if not reserve.min() < 0.0:
             return tension, excess
-        pose = self._robot, inputs.position, inputs.rotation
-        geometry = geometry_at(*pose)
+        geometry = geometry_at(self._robot, inputs.position, inputs.rotation)
         added = self._added(geometry.direction, reserve, tension)
         if not added.any():
             return tension, excess
         more = tension + added
-        change = excess_at(*pose, more, geometry) - excess_at(*pose, tension, geometry)
-        return more, excess + np.where(np.isfinite(change), change, 0.0)
+        return more, excess + excess_change(self._robot, inputs, geometry, tension, more)
 
     def _added(self, direction: Array, reserve: Array, tension: Array) -> Array:
         """Return what is added [N], shape (n,).
@@ -81,6 +79,23 @@ class TautCables:
         up = np.maximum(self._robot.tension_max - tension, 0.0)
         added *= GAIN * min(AMPLIFICATION_MAX, float((shortfall[helped] / added[helped]).min()))
         return np.asarray(share_within(added, down, up) * added)
+
+
+def excess_change(
+    robot: Robot, inputs: PlanInputs, geometry: Geometry, before: Array, after: Array
+) -> Array:
+    """Return how sag less stretch changes with tensions [m], shape (n,); 0 where no cable hangs so.
+
+    Args:
+        robot: Robot description.
+        inputs: Of the plan, at whose pose the cables hang.
+        geometry: There.
+        before: Tensions [N], shape (n,).
+        after: The same.
+    """
+    pose = robot, inputs.position, inputs.rotation
+    change = excess_at(*pose, after, geometry) - excess_at(*pose, before, geometry)
+    return np.where(np.isfinite(change), change, 0.0)
 
 
 def share_within(added: Array, down: Array, up: Array) -> float:

@@ -133,7 +133,7 @@ def test_where_there_is_no_rest_it_does_not_pull(robot):
 
 
 def test_tensions_of_rest_become_usual_along_the_way_as_those_of_plans_do(robot):
-    """A plan of tensions of rest is not changed, how ever fast these change."""
+    """A plan of tensions of rest is not changed, however fast these change."""
     targets, place = TargetReader(robot, GRID), robot.home_position
     attitude, usual = attitude_of(robot), targets.at(place)
     start, most = usual, 0.0
