@@ -388,8 +388,8 @@ class Fitter:
 
     def _turns_back(self, last: Array, step: Array, hessian: Array) -> bool:
         """Say whether a step turns the robot back, once starts have followed."""
-        own = slice(self._count)
-        left = self._marginal(hessian - self._precision) + self._precision[own, own]
+        cost = Quadratic(cost=0.0, gradient=np.zeros(len(step)), information=hessian)
+        left, own = cost.least_beside(self._count).information, slice(self._count)
         return bool(last[own] @ left @ step[own] < 0.0)
 
     def _report(self, report: ProgressCallback, errors: Sequence[Array]) -> None:
