@@ -213,10 +213,12 @@ class _Writer:
         return own
 
     def _run_length(self) -> None:
-        """Write the run length of each chain."""
+        """Write the run length of each chain, which counts instead of its winch's."""
         for i, value in enumerate(self._robot.run_length):
             self.document["chains"][i]["run_length"] = _quantity("run_length", value)
             self._from(f"chains[{i}].run_length")
+        for name in self._users("winch"):
+            self._drop_provenance(f"winches.{name}.run_length")
 
     def _in_parts(
         self, key: str, section: str, field: str, path: tuple[str, ...], values: Array

@@ -268,6 +268,15 @@ def test_a_later_calibration_of_one_sensor_keeps_the_sources_of_the_others():
     assert sources["sensors.lengths"] == SOURCE and sources["sensors.lengths.delay"] == "later"
 
 
+def test_a_run_that_a_chain_has_of_its_own_has_one_source():
+    text = robot_text("scampi")
+    runs = [path for path in load_yaml(text)["provenance"] if path.endswith(".run_length")]
+    assert runs
+    _, data = rewritten(text, run_length=np.full(4, 0.1))
+    sources = {path: each for path, each in data["provenance"].items() if "run_length" in path}
+    assert sources == {f"chains[{i}].run_length": SOURCE for i in range(4)}
+
+
 def test_small_covariances_are_noticed_beside_large_ones():
     """A newton and a millimetre in one matrix: each entry counts by its own units."""
     known = {"calibrated": ("axial_stiffness", "exit_points[front_left].x")}
