@@ -24,6 +24,7 @@ from calibration.identification.linearization import (
     STALE_SIGMAS,
     Linearization,
     axes_of_robot,
+    bent_coordinate,
     is_stale,
     scattered_moves,
 )
@@ -675,10 +676,10 @@ class Fitter:
         covariance = np.asarray(np.linalg.inv(hessian), float)
         varied = self._varied(searched)
         moves = [
-            scattered_moves(axes, hessian, covariance, self._count, rows, lower)
+            scattered_moves(axes, hessian, covariance, self._count, rows, lower, seed=k)
             if len(rows)
             else np.zeros((1, 0))
-            for rows in varied
+            for k, rows in enumerate(varied)
         ]
         points = [np.tile(at, (len(each), 1)) for each in moves]
         for each, rows, move in zip(points, varied, moves, strict=True):
@@ -686,12 +687,17 @@ class Fitter:
         found, good = self._simulated(points)
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of a robot that fits as well")
+        kept = self._kept
+        bent = bent_coordinate(
+            [moves[k] for k in kept], [found[k] for k in kept],
+            int((varied[kept[0]] < self._count).sum()), self._noise(here).sigma,
+        )  # fmt: skip
         errors, jacobians, self._linear = [], [], []
         for k, (rows, move, more) in enumerate(
             zip(varied, moves, self._correction.errors, strict=True)
         ):
             linear = (
-                Linearization.of(move, found[k])
+                Linearization.of(move, found[k], bent)
                 if len(rows)
                 else Linearization.nowhere(here[k] - more)
             )

@@ -348,9 +348,9 @@ def test_moves_of_some_sigmas_lead_to_robots(near):
     axes = axes_of_robot(hessian, searched, fitter._count)
     cut = fitter._names.index("exit_friction")
     on_bound = 0
-    for rows in fitter._varied(searched):
+    for k, rows in enumerate(fitter._varied(searched)):
         moves = scattered_moves(
-            axes, hessian, np.linalg.inv(hessian), fitter._count, rows, fitter._lower - at
+            axes, hessian, np.linalg.inv(hessian), fitter._count, rows, fitter._lower - at, k
         )
         assert np.linalg.matrix_rank(moves) == len(rows)
         ends = np.tile(at, (len(moves), 1))
