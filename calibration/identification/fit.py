@@ -108,7 +108,7 @@ class CoordinateFit:
         excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
         converged: True if the last step promised little, or brought little.
-        left_out: Runs that no time step follows; nothing but their start is fitted to them.
+        left_out: Runs that seem to tell of the robot by chance; only their start is fitted to them.
         folds: Parts of the data about the estimate; coordinates of the robot are the first.
     """
 
@@ -308,7 +308,7 @@ class Fitter:
         """Search from somewhere, for some steps or to the end."""
         damping, settled = DAMPING_START, False
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
-        averages = steps is None and self._sways and not alone
+        averages = steps is None and self._many and not alone
         coarse = steps is not None or not (self._sways and alone)
         if averages:
             self._hidden = self._hidden_vibrations(at, self._unknowns.prior.sigma)
@@ -369,6 +369,8 @@ class Fitter:
             errors, jacobians = self._linearized(at, hessian)
             noise = self._noise(errors)
             self._report(report, errors)
+            self._about(at, errors, jacobians, noise)
+            self._leave_out_chance(errors, noise)
             hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
             turns += self._turns_back(last, step, hessian)
@@ -420,24 +422,37 @@ class Fitter:
         """
         if self._linear is None:
             return information
-        left, judge = information.copy(), self._by(noise)
+        left, chances = information.copy(), self._chances(errors, noise)
         searched = self._searched.copy()
         alike = self._unknowns.alike if self._told_by_alike(searched) else None
         for k, rows in enumerate(self._varied(searched)):
             linear, own = self._linear[k], self._own[k]
             if not len(rows):
                 continue
-            chance = np.trace(judge.product(k, errors[k], linear.chance, linear.chance))
             taken = np.zeros((len(rows), len(own)))
             taken[:, np.isin(own, rows)] = np.eye(len(rows))
             if alike is not None:
                 of_robot = rows < self._count
                 taken[of_robot, self._mass] = -alike[rows[of_robot]] / alike[self._mass]
             told = taken.T @ np.linalg.solve(linear.scatter, taken)
-            left[np.ix_(own, own)] -= chance * told
+            left[np.ix_(own, own)] -= chances[k] * told
         values, vectors = eigh(left, self._precision)
         back = np.linalg.inv(vectors)
         return np.asarray(back.T @ (np.maximum(values, 0.0)[:, None] * back))
+
+    def _chances(self, errors: Sequence[Array], noise: PoseErrorNoise) -> Array:
+        """Return what slopes of each run tell by chance, along any axis by a sigma of its points.
+
+        Args:
+            errors: Of each run (K, 6).
+            noise: Of these.
+        """
+        assert self._linear is not None
+        judge = self._by(noise)
+        return np.array([
+            np.trace(judge.product(k, error, linear.chance, linear.chance))
+            for k, (error, linear) in enumerate(zip(errors, self._linear, strict=True))
+        ])  # fmt: skip
 
     @property
     def _starts_follow(self) -> bool:
@@ -579,7 +594,24 @@ class Fitter:
             np.linalg.norm((5.0 * b - a - 4.0 * c) / (3.0 * sigma))
             for a, b, c in zip(once, twice, more, strict=True)
         ])  # fmt: skip
-        self._followed = differs <= max(FOLLOWED_SIGMAS, float(np.median(differs)))
+        self._leave_out_others(differs <= max(FOLLOWED_SIGMAS, float(np.median(differs))))
+
+    def _leave_out_chance(self, errors: Sequence[Array], noise: PoseErrorNoise) -> None:
+        """Leave out the runs whose slopes tell more by chance than a run tells in the mean.
+
+        Where all runs together tell a sigma of an axis, that is the inverse of their number.
+
+        Args:
+            errors: Of each run (K, 6), by `_linearized`.
+            noise: Of these.
+        """
+        chances = self._chances(errors, noise)
+        typical = float(np.median(chances[self._followed]))
+        self._leave_out_others(chances <= max(1.0 / len(self._kept), typical))
+
+    def _leave_out_others(self, followed: NDArray[np.bool_]) -> None:
+        """Leave out the runs that are not followed."""
+        self._followed &= followed
         for k in np.flatnonzero(~self._followed):
             self._searched[self._own[k][self._count :]] = False
 

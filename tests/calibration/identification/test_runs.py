@@ -500,6 +500,38 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
     assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter._kept)
 
 
+def test_a_run_whose_slopes_tell_more_by_chance_than_a_run_tells_is_left_out(near, monkeypatch):
+    fitter, _, errors, noise, *_ = near
+    for name in ("_hidden", "_doubts"):
+        monkeypatch.setattr(fitter, name, None)
+    searched, followed = fitter._searched.copy(), fitter._followed.copy()
+
+    def left_out(sigmas):
+        """Return which runs are, if slopes of each tell as many squared sigmas by chance."""
+        chances = [np.zeros((error.size, 1)) for error in errors]
+        for chance, error, sigma in zip(chances, errors, sigmas, strict=True):
+            chance[0] = sigma / np.sqrt(noise.weights(error).ravel()[0])
+        linear = [
+            replace(Linearization.nowhere(error), chance=chance)
+            for error, chance in zip(errors, chances, strict=True)
+        ]
+        monkeypatch.setattr(fitter, "_linear", linear)
+        monkeypatch.setattr(fitter, "_searched", searched.copy())
+        monkeypatch.setattr(fitter, "_followed", followed.copy())
+        fitter._leave_out_chance(errors, noise)
+        out = np.flatnonzero(~fitter._followed)
+        for k in range(len(errors)):
+            assert fitter._searched[fitter._own[k][fitter._count :]].all() == (k not in out)
+        return out.tolist()
+
+    mean = 1.0 / np.sqrt(len(errors))
+    sigmas = np.full(len(errors), 0.1 * mean)
+    sigmas[1], sigmas[4] = 0.9 * mean, 1.1 * mean
+    assert left_out(sigmas) == [4]
+    rugged = np.linspace(2.0, 3.0, len(errors)) * mean  # all are: half of them are kept
+    assert left_out(rugged) == list(range((len(errors) + 1) // 2, len(errors)))
+
+
 def test_windows_without_poses_are_left_out(runs):
     run = lasting(runs[0])
     time = run.poses.time - run.poses.time[0]
