@@ -102,7 +102,7 @@ class Score:
         count: How many parameters were identified.
         seconds: Time of processors [s].
         wall: Time by the clock on two cores [s]; None: it ran on one.
-        left_out: Recordings that no time step follows.
+        left_out: Recordings that tell of the robot by chance.
         code: Digest of the code that identified it.
     """
 
@@ -285,7 +285,7 @@ def rows_of(cables: int, scores: list[Score]) -> list[str]:
              f"{nees:.2f}, {np.median([s.nees for s in scores]):.2f}"
              + _beyond([s.nees for s in scores], NEES_FAR, f"{NEES_FAR:g}")),
             ("beyond three sigmas", "reported", f"{sum(s.beyond for s in scores)} of {count}"),
-            ("recordings left out, as no time step follows them", "reported",
+            ("recordings left out, as they tell chance", "reported",
              f"{sum(s.left_out for s in scores)} of {OscillationSettings().count * len(scores)}"),
             ("time of processors, median and longest", "600 s on two cores",
              f"{np.median([s.seconds for s in scores]):.0f}, "

@@ -228,7 +228,7 @@ class Identification(CalibrationResult):
         iterations: Steps of the search.
         converged: True if it ended by itself.
         excess: Factor by which the data count for less than independent innovations [1].
-        unfollowed: Names of recordings that no time step follows; only their start was fitted.
+        unfollowed: Names of recordings that seem to tell by chance; only their start was fitted.
         mixed: Names of recordings in which sway and vibrations are not told apart, for which the
             vibrations of all are fitted too.
         fitted_samples: Poses that were fitted.
