@@ -154,9 +154,11 @@ class Fitter:
         self._axes = 1.0 if self._many else CORRELATED_AXES  # that count as one
         alone = robot_at is not None  # few are searched as the many were that told the robot
         self._sways = (self._many or alone) and all(run.window for run in self._runs)
-        vibrates = self._many and not self._sways
+        follows = self._many and not self._sways
         self._exact = self._many or self._sways  # errors are of vanishing time steps
-        self._time_step = settings.time_step * (MANY_STEP_RATIO if vibrates else 1.0)
+        self._time_step = settings.time_step * (MANY_STEP_RATIO if follows else 1.0)
+        # whether cables do beside a sway, which is averaged, or as starts say
+        self._vibrate = self._sways or any(len(run.sway.stretch_sigma) for run in self._runs)
         self._count = len(unknowns.prior.names)
         sizes = [len(run.sway.guess) for run in runs]
         edges = self._count + np.cumsum([0, *sizes])
@@ -243,7 +245,7 @@ class Fitter:
         self._known = self._known_about(at)
         self._doubts = self._doubted(state.errors, state.jacobians, noise)
         information, _ = self._normal(state.errors, state.jacobians, noise)
-        believed = self._believed(information, state.errors, noise)
+        believed = self._believed(information, state.errors, state.jacobians, noise)
         inverse = np.asarray(np.linalg.inv(believed + self._precision), float)
         excess = self._excess(state, noise, information, inverse)
         own = slice(self._count)
@@ -308,7 +310,7 @@ class Fitter:
         """Search from somewhere, for some steps or to the end."""
         damping, settled = DAMPING_START, False
         alone = not self._searched[: self._count].any()  # starts: exact ones cost little more
-        averages = steps is None and self._many and not alone
+        averages = steps is None and self._many and not alone and self._vibrate
         coarse = steps is not None or not (self._sways and alone)
         if averages:
             self._hidden = self._hidden_vibrations(at, self._unknowns.prior.sigma)
@@ -335,7 +337,7 @@ class Fitter:
             ended = settled or stuck
             if averages and (ended or count == ROUGH_STEPS_MAX):
                 at, errors = self._found_again(at, errors, noise)
-                self._leave_out(at, errors)
+                self._leave_out_unfollowed(at, errors)
                 hessian, _ = self._about(at, errors, jacobians, noise)
                 return self._settle_averages(at, hessian, count, report)
             if ended and final:
@@ -361,7 +363,7 @@ class Fitter:
         """
         found, settled = None, False
         while True:
-            count += 1
+            count, first = count + 1, found is None
             if found is None or is_stale(at - found, hessian, self._count):
                 sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
                 self._hidden, found = self._hidden_vibrations(at, sigma), at
@@ -369,9 +371,11 @@ class Fitter:
             errors, jacobians = self._linearized(at, hessian)
             noise = self._noise(errors)
             self._report(report, errors)
-            self._about(at, errors, jacobians, noise)
-            self._leave_out_chance(errors, noise)
             hessian, gradient = self._about(at, errors, jacobians, noise)
+            if first:
+                self._leave_out_by_chance(errors, jacobians, noise)
+                noise = self._noise(errors)
+                hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
             turns += self._turns_back(last, step, hessian)
             left = self._promise(step, hessian, gradient) / turns
@@ -380,7 +384,7 @@ class Fitter:
             if settled or count >= self._settings.iterations:
                 break
             information = hessian - self._precision
-            hessian = self._believed(information, errors, noise) + self._precision
+            hessian = self._believed(information, errors, jacobians, noise) + self._precision
             at = self._moved(at, step)
         if settled:  # a last step, along the same lines
             end = self._moved(at, step)
@@ -409,7 +413,11 @@ class Fitter:
         return information + self._precision, gradient + self._known.gradient
 
     def _believed(
-        self, information: Array, errors: Sequence[Array], noise: PoseErrorNoise
+        self,
+        information: Array,
+        errors: Sequence[Array],
+        jacobians: Sequence[Array],
+        noise: PoseErrorNoise,
     ) -> Array:
         """Return an information without what slopes seem to tell by chance.
 
@@ -418,11 +426,12 @@ class Fitter:
         Args:
             information: By slopes over what is uncertain, or derivatives, which have no chance.
             errors: Of each run (K, 6).
+            jacobians: By what each depends on (K, 6, p).
             noise: Of the errors.
         """
         if self._linear is None:
             return information
-        left, chances = information.copy(), self._chances(errors, noise)
+        left, chances = information.copy(), self._chances(errors, jacobians, noise)
         searched = self._searched.copy()
         alike = self._unknowns.alike if self._told_by_alike(searched) else None
         for k, rows in enumerate(self._varied(searched)):
@@ -440,18 +449,26 @@ class Fitter:
         back = np.linalg.inv(vectors)
         return np.asarray(back.T @ (np.maximum(values, 0.0)[:, None] * back))
 
-    def _chances(self, errors: Sequence[Array], noise: PoseErrorNoise) -> Array:
+    def _chances(
+        self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
+    ) -> Array:
         """Return what slopes of each run tell by chance, along any axis by a sigma of its points.
+
+        What its start makes up for tells nothing of the robot.
 
         Args:
             errors: Of each run (K, 6).
-            noise: Of these.
+            jacobians: By what each depends on (K, 6, p).
+            noise: Of the errors.
         """
         assert self._linear is not None
         judge = self._by(noise)
+        beside = self._beside_starts(
+            [each.chance for each in self._linear], errors, jacobians, noise
+        )
         return np.array([
-            np.trace(judge.product(k, error, linear.chance, linear.chance))
-            for k, (error, linear) in enumerate(zip(errors, self._linear, strict=True))
+            np.trace(judge.product(k, errors[k], chance, chance))
+            for k, chance in enumerate(beside.columns)
         ])  # fmt: skip
 
     @property
@@ -580,7 +597,7 @@ class Fitter:
         self._correction = Correction(at=at, errors=more)
         return [each[0] + beyond for each, beyond in zip(errors, more, strict=True)]
 
-    def _leave_out(self, at: Array, errors: Sequence[Array]) -> None:
+    def _leave_out_unfollowed(self, at: Array, errors: Sequence[Array]) -> None:
         """Leave out the runs that no time step follows.
 
         Strong vibrations move a sway too, and a little more or less of a parameter moves them
@@ -594,24 +611,29 @@ class Fitter:
             np.linalg.norm((5.0 * b - a - 4.0 * c) / (3.0 * sigma))
             for a, b, c in zip(once, twice, more, strict=True)
         ])  # fmt: skip
-        self._leave_out_others(differs <= max(FOLLOWED_SIGMAS, float(np.median(differs))))
+        self._keep_only(differs <= max(FOLLOWED_SIGMAS, float(np.median(differs))))
 
-    def _leave_out_chance(self, errors: Sequence[Array], noise: PoseErrorNoise) -> None:
+    def _leave_out_by_chance(
+        self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
+    ) -> None:
         """Leave out the runs whose slopes tell more by chance than a run tells in the mean.
 
-        Where all runs together tell a sigma of an axis, that is the inverse of their number.
+        Where all runs together tell a sigma of an axis, that is the inverse of their number. Half
+        of them stay, and as many as tell their own noise.
 
         Args:
             errors: Of each run (K, 6), by `_linearized`.
-            noise: Of these.
+            jacobians: The same.
+            noise: Of the errors.
         """
-        chances = self._chances(errors, noise)
-        typical = float(np.median(chances[self._followed]))
-        self._leave_out_others(chances <= max(1.0 / len(self._kept), typical))
+        chances, kept = self._chances(errors, jacobians, noise), len(self._kept)
+        stay = min(kept, max(RUNS_APART_MIN, (kept + 1) // 2))
+        limit = float(np.sort(chances[self._followed])[stay - 1])
+        self._keep_only(chances <= max(1.0 / kept, limit))
 
-    def _leave_out_others(self, followed: NDArray[np.bool_]) -> None:
-        """Leave out the runs that are not followed."""
-        self._followed &= followed
+    def _keep_only(self, told: NDArray[np.bool_]) -> None:
+        """Leave out all other runs, and what was left out before."""
+        self._followed &= told
         for k in np.flatnonzero(~self._followed):
             self._searched[self._own[k][self._count :]] = False
 
@@ -746,7 +768,7 @@ class Fitter:
         The cables that vibrate are as stiff, and damp as much, as the vibrations of all runs show.
         They are searched from those of the robot; from the second time on, from those within three
         sigmas of it that explain most of the vibrations. Nothing is hidden in a run that is left
-        out, or whose start has vibrations as unknowns.
+        out, that is not averaged, or whose start has vibrations as unknowns.
 
         Args:
             at: All coordinates, shape (p,).
@@ -756,7 +778,11 @@ class Fitter:
             HiddenVibrations.none(run.seen(np.zeros((len(run.poses.time), 6))))
             for run in self._runs
         ]
-        which = [k for k in self._kept if not len(self._runs[k].sway.stretch_sigma)]
+        which = [
+            k
+            for k in self._kept
+            if self._runs[k].window and not len(self._runs[k].sway.stretch_sigma)
+        ]
         runs = [self._whole[k] for k in which]
         robot = at[: self._count]
         if self._hidden is not None:
@@ -792,6 +818,16 @@ class Fitter:
         ):
             if more:
                 columns = [np.hstack(both) for both in zip(columns, more, strict=True)]
+        return self._beside_starts(columns, errors, jacobians, noise)
+
+    def _beside_starts(
+        self,
+        columns: Sequence[Array],
+        errors: Sequence[Array],
+        jacobians: Sequence[Array],
+        noise: PoseErrorNoise,
+    ) -> Doubts:
+        """Return what the start of each run does not make up for of columns (6 K, d)."""
         return Doubts.beside_starts(
             columns,
             [

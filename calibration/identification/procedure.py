@@ -779,9 +779,9 @@ def _left_out(names: Sequence[str]) -> Iterator[str]:
     """Warn of recordings that tell nothing of the robot."""
     if names:
         yield (
-            f"{', '.join(names)}: left out of the fit, as cables vibrate so strongly that what the "
-            "motion seems to tell of the robot is chance; kick the platform more gently, or add "
-            "damping to the robot file if it has too little"
+            f"{', '.join(names)}: left out of the fit, as what the motion seems to tell of the "
+            "robot is chance, mostly where cables vibrate strongly; kick the platform more gently, "
+            "or add damping to the robot file if it has too little"
         )
 
 

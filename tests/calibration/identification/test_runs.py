@@ -15,7 +15,7 @@ from benchmarks.calibration_oscillations import (
     draw_plant,
     robot_with_pulleys,
 )
-from calibration.identification import linearization, procedure, search_state, spread
+from calibration.identification import fit, linearization, procedure, search_state, spread
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import AVERAGES_DECREASE, Fitter
@@ -258,7 +258,7 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
         monkeypatch.setattr(fitter, "_linear", None)
         _, slopes = fitter._linearized(at, hessian)
         told.append(fitter._normal(errors, slopes, noise)[0])
-    believed = fitter._believed(told[1], errors, noise)
+    believed = fitter._believed(told[1], errors, slopes, noise)
     axes = axes_of_robot(hessian, fitter._searched, fitter._count)
     axes = np.delete(axes, fitter._mass, axis=1)  # the mass follows
     rows = np.delete(np.arange(len(at)), fitter._mass)
@@ -491,34 +491,38 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
         found[2] = found[2] + 0.01 * (-1.0) ** (refined // 2)  # does not fall with the step
         return found, good
 
-    fitter._leave_out(at, errors)
+    fitter._leave_out_unfollowed(at, errors)
     assert fitter._kept == list(range(len(runs)))
     monkeypatch.setattr(fitter, "_simulated", wild)
-    fitter._leave_out(at, errors)
+    fitter._leave_out_unfollowed(at, errors)
     assert fitter._kept == [k for k in range(len(runs)) if k != 2]
     jacobians = fitter._jacobians(at, coarse=True)
     assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter._kept)
 
 
-def test_a_run_whose_slopes_tell_more_by_chance_than_a_run_tells_is_left_out(near, monkeypatch):
-    fitter, _, errors, noise, *_ = near
+def test_runs_whose_slopes_tell_more_by_chance_than_a_run_tells_are_left_out(near, monkeypatch):
+    fitter, _, errors, noise, _, exact, _ = near
     for name in ("_hidden", "_doubts"):
         monkeypatch.setattr(fitter, name, None)
+    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)
     searched, followed = fitter._searched.copy(), fitter._followed.copy()
+    weights = [noise.weights(error).ravel() for error in errors]
+    rng = np.random.default_rng(5)
+    noisy = [rng.standard_normal((error.size, 400)) for error in errors]
+    noisy = [each / np.sqrt((w @ each**2).sum()) for each, w in zip(noisy, weights, strict=True)]
+    starts = [each[:, :, fitter._count].reshape(-1, 1) for each in exact]
+    starts = [each / np.sqrt(w @ each**2) for each, w in zip(starts, weights, strict=True)]
 
-    def left_out(sigmas):
-        """Return which runs are, if slopes of each tell as many squared sigmas by chance."""
-        chances = [np.zeros((error.size, 1)) for error in errors]
-        for chance, error, sigma in zip(chances, errors, sigmas, strict=True):
-            chance[0] = sigma / np.sqrt(noise.weights(error).ravel()[0])
+    def left_out(chances, sigmas):
+        """Return which runs are, if slopes of each tell as many sigmas by chance."""
         linear = [
-            replace(Linearization.nowhere(error), chance=chance)
-            for error, chance in zip(errors, chances, strict=True)
+            replace(Linearization.nowhere(error), chance=sigma * chance)
+            for error, chance, sigma in zip(errors, chances, sigmas, strict=True)
         ]
         monkeypatch.setattr(fitter, "_linear", linear)
         monkeypatch.setattr(fitter, "_searched", searched.copy())
         monkeypatch.setattr(fitter, "_followed", followed.copy())
-        fitter._leave_out_chance(errors, noise)
+        fitter._leave_out_by_chance(errors, exact, noise)
         out = np.flatnonzero(~fitter._followed)
         for k in range(len(errors)):
             assert fitter._searched[fitter._own[k][fitter._count :]].all() == (k not in out)
@@ -526,10 +530,34 @@ def test_a_run_whose_slopes_tell_more_by_chance_than_a_run_tells_is_left_out(nea
 
     mean = 1.0 / np.sqrt(len(errors))
     sigmas = np.full(len(errors), 0.1 * mean)
-    sigmas[1], sigmas[4] = 0.9 * mean, 1.1 * mean
-    assert left_out(sigmas) == [4]
+    sigmas[1], sigmas[4] = 0.9 * mean, 1.2 * mean
+    assert left_out(noisy, sigmas) == [4]
     rugged = np.linspace(2.0, 3.0, len(errors)) * mean  # all are: half of them are kept
-    assert left_out(rugged) == list(range((len(errors) + 1) // 2, len(errors)))
+    assert left_out(noisy, rugged) == list(range((len(errors) + 1) // 2, len(errors)))
+    assert left_out(starts, rugged) == []  # starts make up for that: it tells nothing of the robot
+
+
+def test_chance_that_a_start_makes_up_for_takes_no_information(near, monkeypatch):
+    fitter, _, errors, noise, _, exact, _ = near
+    for name in ("_hidden", "_doubts"):
+        monkeypatch.setattr(fitter, name, None)
+    searched = fitter._searched.copy()
+    searched[fitter._mass] = False
+    linear = [
+        replace(
+            Linearization.nowhere(error),
+            chance=slopes[:, :, fitter._count].reshape(-1, 1),
+            scatter=np.eye(len(rows)),
+        )
+        for error, slopes, rows in zip(errors, exact, fitter._varied(searched), strict=True)
+    ]
+    fitter._fill_alike(exact)
+    information, _ = fitter._normal(errors, exact, noise)
+    monkeypatch.setattr(fitter, "_linear", linear)
+    left = fitter._believed(information, errors, exact, noise)
+    monkeypatch.setattr(fitter, "_linear", None)
+    raw, believed = (fitter._marginal(each) for each in (information, left))
+    assert believed == pytest.approx(raw, rel=1e-3, abs=1e-3 * np.abs(raw).max())
 
 
 def test_windows_without_poses_are_left_out(runs):
@@ -657,23 +685,39 @@ def test_refined_steps_are_exactly_as_many_times_more(plant, runs):
     assert 3.5 < ratio < 4.6
 
 
-def test_nothing_to_search_needs_no_derivatives():
-    robot = eight_cable_robot()
+def eight_cables_at_rest(noise=0.0):
+    """Return coordinates of a robot without a sway, recordings of it at rest, and settings."""
+    robot, rng = eight_cable_robot(), np.random.default_rng(0)
     settings = resolved(IdentificationSettings(), Scales(robot).ratios)
-    unknowns = choose_coordinates(robot, settings)
     rest, time = at_home(robot), np.arange(0.0, 1.0, 0.02)
-    recording = Recording(
-        time=time,
-        unstrained_length=np.tile(rest.unstrained_length, (len(time), 1)),
-        poses=PoseSamples.from_rotation(
-            time, np.tile(rest.position, (len(time), 1)), np.tile(rest.rotation, (len(time), 1, 1))
-        ),
-    )
-    fitter = Fitter(
-        unknowns, [prepared(robot, recording)] * 10, settings,
-        robot_at=np.zeros(len(unknowns.prior.names)),
-    )  # fmt: skip
+
+    def run():
+        position = np.tile(rest.position, (len(time), 1))
+        recording = Recording(
+            time=time,
+            unstrained_length=np.tile(rest.unstrained_length, (len(time), 1)),
+            poses=PoseSamples.from_rotation(
+                time,
+                position + noise * rng.standard_normal(position.shape),
+                np.tile(rest.rotation, (len(time), 1, 1)),
+            ),
+        )
+        path, poses = LengthPath(recording), poses_of(recording)
+        sway = find_sway(robot, first_equilibrium(robot, path), poses, moves=False)
+        return FittedRun(path=path, poses=poses, rate=RATE, sway=sway)
+
+    return choose_coordinates(robot, settings), [run() for _ in range(10)], settings
+
+
+def test_nothing_to_search_needs_no_derivatives():
+    unknowns, runs, settings = eight_cables_at_rest()
+    fitter = Fitter(unknowns, runs, settings, robot_at=np.zeros(len(unknowns.prior.names)))
     assert all(len(start) == 0 for start in fitter.starts())
+
+
+def test_many_runs_without_a_sway_are_searched_to_the_end():
+    found = Fitter(*eight_cables_at_rest(noise=1e-3)).run(lambda *_: None)
+    assert found.converged and np.abs(found.coordinates).max() < 3.0
 
 
 def test_poses_begin_where_a_vibration_is_lost_in_noise():
@@ -777,7 +821,15 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     def jump(numbers):
         return np.concatenate([0.5 * root @ numbers, np.zeros(len(at) - fitter._count)])
 
+    searched = fitter._searched.copy()
+    searched[fitter._mass] = False
+    linear = [
+        replace(Linearization.nowhere(each), scatter=np.eye(len(rows)))
+        for each, rows in zip(errors, fitter._varied(searched), strict=True)
+    ]
+
     def linearized(point, _):
+        fitter._linear = linear
         away = point - at + jump(rng.standard_normal(fitter._count))
         found = [
             each + jacobian @ away[own]
@@ -805,6 +857,49 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     monkeypatch.setattr(fitter, "_turns_back", lambda *_: False)
     settled, farther = search()
     assert not settled and farther > 2.0 * away
+
+
+def test_a_search_ends_where_those_lead_that_do_not_tell_by_chance(near, monkeypatch):
+    fitter, at, errors, noise, _, exact, _ = near
+    fitter._fill_alike(exact)
+    still = [HiddenVibrations.none(each) for each in errors]
+    rugged, own = 3, slice(fitter._count)
+    for name, value in (
+        ("_linear", None), ("_doubts", None), ("_hidden_vibrations", lambda at, sigma: still),
+        ("_noise", lambda errors: noise), ("_searched", fitter._searched.copy()),
+        ("_followed", fitter._followed.copy()),
+        ("_known_about", lambda point: Quadratic(
+            cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
+        )),
+    ):  # fmt: skip
+        monkeypatch.setattr(fitter, name, value)
+    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)
+    searched = fitter._searched.copy()
+    searched[fitter._mass] = False
+    rng, varied = np.random.default_rng(6), fitter._varied(searched)
+    off = 20.0 * rng.standard_normal(fitter._count)
+
+    def linearized(point, _):
+        fitter._linear, found = [], []
+        for k, (error, slopes) in enumerate(zip(errors, exact, strict=True)):
+            chance = np.zeros((error.size, 0))
+            away = (point - at)[fitter._own[k]]
+            if k == rugged:
+                chance = 100.0 * noise.sigma[0] * rng.standard_normal((error.size, 4))
+                away[own] += off
+            fitter._linear.append(
+                replace(Linearization.nowhere(error), chance=chance, scatter=np.eye(len(varied[k])))
+            )
+            found.append(slopes @ away)
+        return found, exact
+
+    monkeypatch.setattr(fitter, "_linearized", linearized)
+    information, _ = fitter._normal([np.zeros_like(each) for each in errors], exact, noise)
+    begin = at.copy()
+    begin[own] += 0.5
+    found = fitter._settle_averages(begin, information + fitter._precision, 0, lambda *_: None)
+    assert found.settled and fitter._kept == [k for k in range(len(errors)) if k != rugged]
+    assert found.at[own] == pytest.approx(at[own], abs=1e-3)
 
 
 def test_data_leave_nothing_more_open_than_it_was_before(near):
