@@ -40,20 +40,19 @@ def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
     Raises:
         InvalidField: There is neither.
     """
-    refused: InvalidField | None = None
+    reasons = []
     if robot.name in BUNDLED:
         own = load_network(BUNDLED[robot.name])
         try:
             own.check(robot)
         except InvalidField as differs:
-            refused = differs
+            reasons = [f"{differs.value}, unlike the robot of {BUNDLED[robot.name]}"]
         else:
             return own
     reason = not_of_family(robot)
     if not reason:
         return load_network(FAMILY)
-    if refused is not None:
-        raise refused
+    reasons.append(reason)
     allowed = f"one of {sorted(BUNDLED)} or of the family {FAMILY}"
     allowed += (
         ", or a network of its own: `carosac distill`, then --set "
@@ -61,7 +60,8 @@ def network_for(robot: Robot) -> PlanNetwork | FamilyNetwork:
         if robot.n < 6
         else ": use mpc, as robots of six or more cables do not sway"
     )
-    raise InvalidField("robot", f"{robot.name!r} with {reason}", allowed)
+    name = "" if len(reasons) > 1 else f"{robot.name!r} with "
+    raise InvalidField("robot", name + ", and with ".join(reasons), allowed)
 
 
 def list_networks() -> tuple[str, ...]:

@@ -253,6 +253,9 @@ def test_a_robot_gets_its_own_network_or_that_of_the_family():
     identified = replace(carosac, mass=1.02 * carosac.mass)
     assert isinstance(network_for(identified), FamilyNetwork)
     assert isinstance(network_for(ct.load_robot("stadium")), FamilyNetwork)
+    heavy = "'carosac' with other values of mass, unlike .* carosac-mpc, and with largest tension"
+    with pytest.raises(InvalidField, match=heavy):
+        network_for(replace(carosac, mass=1.5 * carosac.mass))
     with pytest.raises(InvalidField, match=r"exit points off a level rectangle.*carosac distill"):
         network_for(ct.load_robot("hangprinter"))
     with pytest.raises(InvalidField, match=r"8 cables, not 4.*use mpc"):
