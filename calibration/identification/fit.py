@@ -81,6 +81,10 @@ SWAY_STRETCHES = (0.3, 1.0, 2.0)
 START_TRIES = ((1.0, 0.0), (0.4, 0.0), (1.0, 0.01), (1.0, 0.1))
 # The same where starts alone are searched, from first guesses that may be far off.
 GUESS_TRIES = (*START_TRIES, (1.0, 1.0), (1.0, 10.0))
+# By which mean errors of a run over what is uncertain may cost more than those where a search
+# stands, for each coordinate that is searched, of all of which a run has its share. Linear ones do
+# not at all.
+RISE_MAX = 3.0
 FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may leave it
 # Of a typical run's cost: one that costs more starts anew once a search has led near. Chance alone
 # leads to 1.5.
@@ -187,6 +191,7 @@ class Fitter:
         # What vibrations that noise hides change of errors of each run.
         self._hidden: list[HiddenVibrations] | None = None
         self._linear: list[Linearization] | None = None  # errors of each run, as taken last
+        self._rises = np.zeros(len(self._runs))  # of their cost, by means over what is uncertain
         self._doubts: Doubts | None = None  # what errors have in common
         self._correction = Correction(at=self._first, errors=[])  # as found last
         self._followed = np.ones(len(self._runs), dtype=np.bool_)  # others are left out
@@ -339,7 +344,11 @@ class Fitter:
                 at, errors = self._found_again(at, errors, noise)
                 self._leave_out_unfollowed(at, errors)
                 hessian, _ = self._about(at, errors, jacobians, noise)
-                return self._settle_averages(at, hessian, count, report)
+                search = self._settle_averages(at, hessian, count, report)
+                if search is not None:
+                    return search
+                averages, ended, least = False, False, MANY_DECREASE * self._count
+                self._linear, errors = None, self._errors_at(at)
             if ended and final:
                 break
             coarse &= not ended
@@ -348,8 +357,11 @@ class Fitter:
 
     def _settle_averages(
         self, at: Array, hessian: Array, count: int, report: ProgressCallback
-    ) -> Search:
+    ) -> Search | None:
         """Search to the end by errors that are linear over what is left of uncertainty.
+
+        None: most runs are far from linear over what is uncertain, and none is left out. Averages
+        of robots fit far worse than the best one then, and lead away from it.
 
         Points that scatter otherwise let steps jump about the end. Each that turns the robot back
         against the one before makes later ones shorter (Kesten 1958), so that jumps average out:
@@ -362,6 +374,7 @@ class Fitter:
             report: As of `run`.
         """
         found, settled = None, False
+        before = self._followed.copy(), self._searched.copy()
         while True:
             count, first = count + 1, found is None
             if found is None or is_stale(at - found, hessian, self._count):
@@ -369,13 +382,15 @@ class Fitter:
                 self._hidden, found = self._hidden_vibrations(at, sigma), at
                 last, turns = np.zeros(len(at)), 1  # the end is another one
             errors, jacobians = self._linearized(at, hessian)
+            straight = self._rises <= RISE_MAX * self._searched.sum() / len(self._kept)
+            if straight[self._followed].sum() < max(RUNS_APART_MIN, len(self._kept) / 2):
+                self._followed, self._searched = before
+                return None
+            if first:
+                self._keep_only(straight)
             noise = self._noise(errors)
             self._report(report, errors)
             hessian, gradient = self._about(at, errors, jacobians, noise)
-            if first:
-                self._leave_out_by_chance(errors, jacobians, noise)
-                noise = self._noise(errors)
-                hessian, gradient = self._about(at, errors, jacobians, noise)
             step = self._step(at, hessian, gradient, 0.0)
             turns += self._turns_back(last, step, hessian)
             left = self._promise(step, hessian, gradient) / turns
@@ -613,24 +628,6 @@ class Fitter:
         ])  # fmt: skip
         self._keep_only(differs <= max(FOLLOWED_SIGMAS, float(np.median(differs))))
 
-    def _leave_out_by_chance(
-        self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise
-    ) -> None:
-        """Leave out the runs whose slopes tell more by chance than a run tells in the mean.
-
-        Where all runs together tell a sigma of an axis, that is the inverse of their number. Half
-        of them stay, and as many as tell their own noise.
-
-        Args:
-            errors: Of each run (K, 6), by `_linearized`.
-            jacobians: The same.
-            noise: Of the errors.
-        """
-        chances, kept = self._chances(errors, jacobians, noise), len(self._kept)
-        stay = min(kept, max(RUNS_APART_MIN, (kept + 1) // 2))
-        limit = float(np.sort(chances[self._followed])[stay - 1])
-        self._keep_only(chances <= max(1.0 / kept, limit))
-
     def _keep_only(self, told: NDArray[np.bool_]) -> None:
         """Leave out all other runs, and what was left out before."""
         self._followed &= told
@@ -758,9 +755,24 @@ class Fitter:
             errors.append(linear.mean + more)
             jacobians.append(self._simulator.by_coordinates(k, rows, linear.slopes))
             self._linear.append(linear)
+        self._rises = self._rises_of(here, errors)
         if alike:
             self._fill_alike(jacobians)
         return errors, jacobians
+
+    def _rises_of(self, here: Sequence[Array], errors: Sequence[Array]) -> Array:
+        """Return by how much mean errors over what is uncertain cost more, of each run.
+
+        Of motion that is linear they are those where the search stands.
+
+        Args:
+            here: Errors of each run (K, 6), where the search stands.
+            errors: Mean ones.
+        """
+        noise = self._noise(here)
+        return np.array([
+            noise.cost(mean) - noise.cost(error) for mean, error in zip(errors, here, strict=True)
+        ])  # fmt: skip
 
     def _hidden_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
         """Return what vibrations that noise hides change of each run, as `hidden_vibrations`.

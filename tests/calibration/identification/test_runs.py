@@ -500,41 +500,26 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
     assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter._kept)
 
 
-def test_runs_whose_slopes_tell_more_by_chance_than_a_run_tells_are_left_out(near, monkeypatch):
-    fitter, _, errors, noise, _, exact, _ = near
-    for name in ("_hidden", "_doubts"):
-        monkeypatch.setattr(fitter, name, None)
-    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)
-    searched, followed = fitter._searched.copy(), fitter._followed.copy()
-    weights = [noise.weights(error).ravel() for error in errors]
-    rng = np.random.default_rng(5)
-    noisy = [rng.standard_normal((error.size, 400)) for error in errors]
-    noisy = [each / np.sqrt((w @ each**2).sum()) for each, w in zip(noisy, weights, strict=True)]
-    starts = [each[:, :, fitter._count].reshape(-1, 1) for each in exact]
-    starts = [each / np.sqrt(w @ each**2) for each, w in zip(starts, weights, strict=True)]
+def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeypatch):
+    fitter, at, _, noise, _, _, information = near
+    simulated = fitter._simulated
 
-    def left_out(chances, sigmas):
-        """Return which runs are, if slopes of each tell as many sigmas by chance."""
-        linear = [
-            replace(Linearization.nowhere(error), chance=sigma * chance)
-            for error, chance, sigma in zip(errors, chances, sigmas, strict=True)
-        ]
-        monkeypatch.setattr(fitter, "_linear", linear)
-        monkeypatch.setattr(fitter, "_searched", searched.copy())
-        monkeypatch.setattr(fitter, "_followed", followed.copy())
-        fitter._leave_out_by_chance(errors, exact, noise)
-        out = np.flatnonzero(~fitter._followed)
-        for k in range(len(errors)):
-            assert fitter._searched[fitter._own[k][fitter._count :]].all() == (k not in out)
-        return out.tolist()
+    def bent(points, *, refined=1):
+        found, good = simulated(points, refined=refined)
+        if len(found[2]) > 1:
+            found[2] = found[2] + noise.sigma
+        return found, good
 
-    mean = 1.0 / np.sqrt(len(errors))
-    sigmas = np.full(len(errors), 0.1 * mean)
-    sigmas[1], sigmas[4] = 0.9 * mean, 1.2 * mean
-    assert left_out(noisy, sigmas) == [4]
-    rugged = np.linspace(2.0, 3.0, len(errors)) * mean  # all are: half of them are kept
-    assert left_out(noisy, rugged) == list(range((len(errors) + 1) // 2, len(errors)))
-    assert left_out(starts, rugged) == []  # starts make up for that: it tells nothing of the robot
+    monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all else is linear
+    for name, value in (
+        ("_hidden", None), ("_linear", None), ("_simulated", bent), ("_rises", fitter._rises),
+        ("_noise", lambda errors: noise),
+    ):  # fmt: skip
+        monkeypatch.setattr(fitter, name, value)
+    fitter._linearized(at, information + fitter._precision)
+    bends = np.arange(len(fitter._rises)) == 2
+    assert (np.abs(fitter._rises[~bends]) < 1.0).all()
+    assert fitter._rises[2] > 5.0
 
 
 def test_chance_that_a_start_makes_up_for_takes_no_information(near, monkeypatch):
@@ -859,7 +844,7 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     assert not settled and farther > 2.0 * away
 
 
-def test_a_search_ends_where_those_lead_that_do_not_tell_by_chance(near, monkeypatch):
+def test_a_search_ends_where_those_lead_that_are_nearly_linear(near, monkeypatch):
     fitter, at, errors, noise, _, exact, _ = near
     fitter._fill_alike(exact)
     still = [HiddenVibrations.none(each) for each in errors]
@@ -867,39 +852,55 @@ def test_a_search_ends_where_those_lead_that_do_not_tell_by_chance(near, monkeyp
     for name, value in (
         ("_linear", None), ("_doubts", None), ("_hidden_vibrations", lambda at, sigma: still),
         ("_noise", lambda errors: noise), ("_searched", fitter._searched.copy()),
-        ("_followed", fitter._followed.copy()),
+        ("_followed", fitter._followed.copy()), ("_rises", fitter._rises),
         ("_known_about", lambda point: Quadratic(
             cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
         )),
     ):  # fmt: skip
         monkeypatch.setattr(fitter, name, value)
-    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)
+    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)  # so that one of ten may be left out
     searched = fitter._searched.copy()
     searched[fitter._mass] = False
     rng, varied = np.random.default_rng(6), fitter._varied(searched)
     off = 20.0 * rng.standard_normal(fitter._count)
+    rises, followed = np.where(np.arange(len(errors)) == rugged, 1e3, 0.0), fitter._kept
 
     def linearized(point, _):
-        fitter._linear, found = [], []
-        for k, (error, slopes) in enumerate(zip(errors, exact, strict=True)):
-            chance = np.zeros((error.size, 0))
-            away = (point - at)[fitter._own[k]]
-            if k == rugged:
-                chance = 100.0 * noise.sigma[0] * rng.standard_normal((error.size, 4))
-                away[own] += off
-            fitter._linear.append(
-                replace(Linearization.nowhere(error), chance=chance, scatter=np.eye(len(varied[k])))
-            )
-            found.append(slopes @ away)
-        return found, exact
+        fitter._rises = rises
+        fitter._linear = [
+            replace(Linearization.nowhere(error), scatter=np.eye(len(rows)))
+            for error, rows in zip(errors, varied, strict=True)
+        ]
+        away = [(point - at)[rows] for rows in fitter._own]
+        away[rugged][own] += off
+        return [slopes @ move for slopes, move in zip(exact, away, strict=True)], exact
 
     monkeypatch.setattr(fitter, "_linearized", linearized)
     information, _ = fitter._normal([np.zeros_like(each) for each in errors], exact, noise)
-    begin = at.copy()
+    begin, hessian = at.copy(), information + fitter._precision
     begin[own] += 0.5
-    found = fitter._settle_averages(begin, information + fitter._precision, 0, lambda *_: None)
-    assert found.settled and fitter._kept == [k for k in range(len(errors)) if k != rugged]
+    found = fitter._settle_averages(begin, hessian, 0, lambda *_: None)
+    assert found.settled and fitter._kept == [k for k in followed if k != rugged]
     assert found.at[own] == pytest.approx(at[own], abs=1e-3)
+    fitter._followed[rugged], rises[:6] = True, 1e3  # most runs are
+    assert fitter._settle_averages(begin, hessian, 0, lambda *_: None) is None
+    assert fitter._kept == followed
+
+
+def test_where_averages_lead_nowhere_derivatives_go_on(near, monkeypatch):
+    fitter, at, errors, *_ = near
+    still = [HiddenVibrations.none(each) for each in errors]
+    few = replace(fitter._settings, iterations=fit.ROUGH_STEPS_MAX + 1)
+    for name, value in (
+        ("_linear", None), ("_doubts", None), ("_hidden", None), ("_finer", None),
+        ("_hidden_vibrations", lambda at, sigma: still), ("_settings", few),
+        ("_settle_averages", lambda *_: None),
+    ):  # fmt: skip
+        monkeypatch.setattr(fitter, name, value)
+    found = fitter._settle(at, None, lambda *_: None)
+    assert found.count == fit.ROUGH_STEPS_MAX + 1 and fitter._linear is None
+    noise = fitter._noise(found.errors)
+    assert fitter._cost(found.at, found.errors, noise) < fitter._cost(at, errors, noise)
 
 
 def test_data_leave_nothing_more_open_than_it_was_before(near):
