@@ -379,7 +379,7 @@ class Fitter:
             count, first = count + 1, found is None
             if found is None or is_stale(at - found, hessian, self._count):
                 sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: self._count])
-                self._hidden, found = self._hidden_vibrations(at, sigma), at
+                self._hidden, found = self._likelier_vibrations(at, sigma), at
                 last, turns = np.zeros(len(at)), 1  # the end is another one
             errors, jacobians = self._linearized(at, hessian)
             straight = self._rises <= RISE_MAX * self._searched.sum() / len(self._kept)
@@ -813,6 +813,26 @@ class Fitter:
         for k, each in zip(which, found, strict=True):
             hidden[k] = each
         return hidden
+
+    def _likelier_vibrations(self, at: Array, sigma: Array) -> list[HiddenVibrations]:
+        """Return hidden vibrations found anew, or those before if runs cost less with them.
+
+        Where vibrations are strong, other cables explain them that fit what is slow far worse.
+
+        Args:
+            at: As of `_hidden_vibrations`.
+            sigma: The same.
+        """
+        anew = self._hidden_vibrations(at, sigma)
+        before = self._hidden
+        if before is None:
+            return anew
+        errors = self._errors_at(at)
+        noise = self._noise(errors)
+        self._hidden = anew
+        better = self._cost(at, self._errors_at(at), noise) < self._cost(at, errors, noise)
+        self._hidden = before
+        return anew if better else before
 
     def _doubted(
         self, errors: Sequence[Array], jacobians: Sequence[Array], noise: PoseErrorNoise

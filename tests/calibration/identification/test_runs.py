@@ -328,6 +328,21 @@ def test_hidden_vibrations_correct_errors_and_trials_once(near, monkeypatch):
             assert new - old == pytest.approx(size) and trial - tried == pytest.approx(size)
 
 
+def test_hidden_vibrations_that_fit_worse_are_not_taken(near, monkeypatch):
+    fitter, at, errors, *_ = near
+    monkeypatch.setattr(fitter, "_doubts", None)
+    calm, wrong = (
+        [replace(HiddenVibrations.none(each), drift=np.full_like(each, size)) for each in errors]
+        for size in (0.0, 5e-3)
+    )
+    sigma = np.ones(fitter._count)
+    for before, anew, taken in ((calm, wrong, calm), (wrong, calm, calm), (None, wrong, wrong)):
+        monkeypatch.setattr(fitter, "_hidden", before)
+        monkeypatch.setattr(fitter, "_hidden_vibrations", lambda at, sigma, anew=anew: anew)
+        assert fitter._likelier_vibrations(at, sigma) is taken
+        assert fitter._hidden is before
+
+
 def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
     fitter, at, *_ = near
     own = [rows[fitter._count :] for rows in fitter._own]
@@ -795,7 +810,7 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     still = [HiddenVibrations.none(each) for each in errors]
     monkeypatch.setattr(fitter, "_linear", None)
     monkeypatch.setattr(fitter, "_doubts", None)
-    monkeypatch.setattr(fitter, "_hidden_vibrations", lambda at, sigma: still)
+    monkeypatch.setattr(fitter, "_likelier_vibrations", lambda at, sigma: still)
     monkeypatch.setattr(fitter, "_noise", lambda errors: noise)
     white, own = [np.zeros_like(each) for each in errors], slice(fitter._count)
     information, _ = fitter._normal(white, exact, noise)
