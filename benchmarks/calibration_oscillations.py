@@ -285,7 +285,7 @@ def rows_of(cables: int, scores: list[Score]) -> list[str]:
              f"{nees:.2f}, {np.median([s.nees for s in scores]):.2f}"
              + _beyond([s.nees for s in scores], NEES_FAR, f"{NEES_FAR:g}")),
             ("beyond three sigmas", "reported", f"{sum(s.beyond for s in scores)} of {count}"),
-            ("recordings left out, as they tell chance", "reported",
+            ("recordings left out, as what they tell is chance", "reported",
              f"{sum(s.left_out for s in scores)} of {OscillationSettings().count * len(scores)}"),
             ("time of processors, median and longest", "600 s on two cores",
              f"{np.median([s.seconds for s in scores]):.0f}, "
