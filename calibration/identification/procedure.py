@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identification.error_noise import RUNS_APART_MIN
-from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
+from calibration.identification.fit import CoordinateFit, Fitter
 from calibration.identification.frequencies import ComparedFrequencies, FrequencyTable
 from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.model_error import JudgedError, Residuals, judge_model_error
@@ -41,6 +41,7 @@ from calibration.identification.runs import (
     time_before,
     without_ringing,
 )
+from calibration.identification.search_state import ProgressCallback
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.sway import find_sway
 from calibration.identification.unknowns import Coordinates, choose_coordinates, group_of

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from carosac_toolkit.base.arrays import Array
 
 DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with and after a step that fails
+# Squared sigmas by which a step must promise to lower the cost: for each axis that counts, or each
+# coordinate of the starts.
+SETTLED_DECREASE = 0.1
+# Called before each step with the number of poses that it looks at, and their RMS errors [m] and
+# [rad].
+ProgressCallback = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,10 +15,11 @@ from benchmarks.calibration_oscillations import (
     draw_plant,
     robot_with_pulleys,
 )
-from calibration.identification import fit, linearization, procedure, search_state, spread
+from calibration.identification import averages, fit, linearization, procedure, spread
+from calibration.identification.averages import AVERAGES_DECREASE, Averaged
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
-from calibration.identification.fit import AVERAGES_DECREASE, Fitter
+from calibration.identification.fit import Fitter
 from calibration.identification.linearization import (
     Linearization,
     axes_of_robot,
@@ -185,10 +186,10 @@ def test_no_motion_tells_the_unit_of_force(plant, runs):
     chosen = resolved(IdentificationSettings(), Scales(plant).ratios)
     unknowns = choose_coordinates(plant, replace(chosen, length_delay=0.0))
     fitter = Fitter(unknowns, runs, chosen)
-    at, mass = fitter._first, unknowns.prior.names.index("mass")
-    jacobians = fitter._jacobians(at, coarse=False)
+    at, mass = fitter.space.begin, unknowns.prior.names.index("mass")
+    jacobians = fitter.model.jacobians(at, coarse=False)
     step = 2e-3 * np.eye(len(at))[mass]
-    sides = [fitter._errors_at(at + side * step) for side in (-1.0, 1.0)]
+    sides = [fitter.model.at(at + side * step) for side in (-1.0, 1.0)]
     for jacobian, before, after in zip(jacobians, *sides, strict=True):
         expected = (after - before) / (2.0 * step[mass])
         assert np.linalg.norm(jacobian[:, :, mass] - expected) < 3e-3 * np.linalg.norm(expected)
@@ -208,33 +209,32 @@ def near(plant, runs):
     Of dry friction one is a little above its bound.
     """
     fitter = fitter_of(plant, runs)
-    at, searched = fitter._first.copy(), fitter._searched.copy()
-    friction = fitter._names.index("exit_friction")
-    at[friction] = fitter._lower[friction] + 0.002
-    searched[fitter._mass] = False
-    errors = fitter._errors_at(at)
-    rough, fine = (fitter._slopes(at, searched, fitter._time_step, refined=r) for r in (1, 2))
+    at, searched = fitter.space.begin.copy(), fitter.space.searched.copy()
+    friction = fitter.space.names.index("exit_friction")
+    at[friction] = fitter.space.lower[friction] + 0.002
+    searched[fitter.space.mass] = False
+    errors = fitter.model.at(at)
+    rough, fine = (fitter.model.slopes(at, searched, refined=r) for r in (1, 2))
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
-    information, _ = fitter._normal(errors, exact, noise)
+    information, _ = fitter.cost.normal(errors, exact, noise)
     return fitter, at, errors, noise, rough, exact, information
 
 
 def test_a_linear_function_over_little_uncertainty_has_the_derivatives(near, monkeypatch):
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
     fitter, at, errors, noise, rough, _, information = near
-    hessian = information + fitter._precision
-    monkeypatch.setattr(fitter, "_hidden", None)
-    monkeypatch.setattr(fitter, "_linear", None)
-    means, found = fitter._linearized(at, hessian)
-    for mean, error, linear in zip(means, errors, fitter._linear, strict=True):
+    hessian = information + fitter.cost.precision
+    monkeypatch.setattr(fitter.model, "hidden", None)
+    averaged = fitter.averages.averaged(at, hessian)
+    for mean, error, linear in zip(averaged.errors, errors, averaged.linear, strict=True):
         assert np.abs(mean - error).max() < 0.05 * noise.sigma[0]
         assert np.abs(linear.beyond).max() < 0.05 * noise.sigma[0]
     root = np.linalg.cholesky(np.linalg.inv(hessian))
-    own = np.arange(len(at)) != fitter._mass
+    own = np.arange(len(at)) != fitter.space.mass
     known, again = (
-        root.T[:, own] @ fitter._normal(errors, each, noise)[0][np.ix_(own, own)] @ root[own]
-        for each in (rough, found)
+        root.T[:, own] @ fitter.cost.normal(errors, each, noise)[0][np.ix_(own, own)] @ root[own]
+        for each in (rough, averaged.jacobians)
     )
     assert np.abs(again - known).max() < 0.1  # by axes of the covariance
 
@@ -242,7 +242,7 @@ def test_a_linear_function_over_little_uncertainty_has_the_derivatives(near, mon
 def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
     fitter, at, errors, noise, _, _, information = near
-    hessian, simulated = information + fitter._precision, fitter._simulated
+    hessian, simulated = information + fitter.cost.precision, fitter.model.simulated
     rng = np.random.default_rng(6)
 
     def rugged(points, *, refined=1):
@@ -250,18 +250,18 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
         size = 1e-3 * noise.sigma[0] if len(found[0]) > 1 else 0.0
         return [each + size * rng.standard_normal(each.shape) for each in found], good
 
-    monkeypatch.setattr(fitter, "_hidden", None)
-    monkeypatch.setattr(fitter, "_doubts", None)
+    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.cost, "doubts", None)
     told = []
     for simulate in (simulated, rugged):
-        monkeypatch.setattr(fitter, "_simulated", simulate)
-        monkeypatch.setattr(fitter, "_linear", None)
-        _, slopes = fitter._linearized(at, hessian)
-        told.append(fitter._normal(errors, slopes, noise)[0])
-    believed = fitter._believed(told[1], errors, slopes, noise)
-    axes = axes_of_robot(hessian, fitter._searched, fitter._count)
-    axes = np.delete(axes, fitter._mass, axis=1)  # the mass follows
-    rows = np.delete(np.arange(len(at)), fitter._mass)
+        monkeypatch.setattr(fitter.model, "simulated", simulate)
+        found = fitter.averages.averaged(at, hessian)
+        told.append(fitter.cost.normal(errors, found.jacobians, noise)[0])
+    monkeypatch.setattr(fitter.cost, "linear", found.linear)
+    believed = fitter.averages.believed(told[1], errors, found.jacobians, noise)
+    axes = axes_of_robot(hessian, fitter.space.searched, fitter.space.count)
+    axes = np.delete(axes, fitter.space.mass, axis=1)  # the mass follows
+    rows = np.delete(np.arange(len(at)), fitter.space.mass)
     by_chance, left = (
         np.einsum("ai,ij,aj->a", axes, (each - told[0])[np.ix_(rows, rows)], axes).sum()
         for each in (told[1], believed)
@@ -271,28 +271,28 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
 
 def test_a_robot_that_is_likely_and_does_not_move_is_named(near, monkeypatch):
     fitter, at, *_, information = near
-    simulated = fitter._simulated
+    simulated = fitter.model.simulated
 
     def failing(points, *, refined=1):
         found, good = simulated(points, refined=refined)
         good[3] = good[3] & (np.arange(len(good[3])) < 5)
         return found, good
 
-    monkeypatch.setattr(fitter, "_hidden", None)
-    monkeypatch.setattr(fitter, "_simulated", failing)
+    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.model, "simulated", failing)
     with pytest.raises(CarosacError, match="no finite motion of a robot that fits as well"):
-        fitter._linearized(at, information + fitter._precision)
+        fitter.averages.averaged(at, information + fitter.cost.precision)
 
 
 def test_hidden_vibrations_are_found_anew_where_a_search_has_left(near):
     fitter, _, _, _, _, _, information = near
-    hessian = information + fitter._precision
+    hessian = information + fitter.cost.precision
     root = np.linalg.cholesky(np.linalg.inv(hessian))
-    step = np.sqrt(fitter._count) * root[:, 0] / np.sqrt(root[:, 0] @ hessian @ root[:, 0])
-    assert not is_stale(0.9 * step, hessian, fitter._count)
-    assert is_stale(1.1 * step, hessian, fitter._count)
-    start = np.where(np.arange(len(step)) < fitter._count, 0.0, 1.0)  # of the starts alone
-    assert not is_stale(start, hessian, fitter._count)
+    step = np.sqrt(fitter.space.count) * root[:, 0] / np.sqrt(root[:, 0] @ hessian @ root[:, 0])
+    assert not is_stale(0.9 * step, hessian, fitter.space.count)
+    assert is_stale(1.1 * step, hessian, fitter.space.count)
+    start = np.where(np.arange(len(step)) < fitter.space.count, 0.0, 1.0)  # of the starts alone
+    assert not is_stale(start, hessian, fitter.space.count)
 
 
 @pytest.mark.parametrize("name", ["inertia.xx", "axial_damping", "start.speed[0]"])
@@ -300,56 +300,56 @@ def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
     """What time steps make errors wrong by changes along a step; one simulation tells it anyway."""
     fitter, at, _, _, rough, exact, _ = near
     move = np.zeros(len(at))
-    move[fitter._names.index(name)] = 0.02
+    move[fitter.space.names.index(name)] = 0.02
 
     def missed():
-        fitter._errors_at(at)
-        trials, _ = fitter._trials(np.array([at + move]))
-        exact = fitter._errors_at(at + move)
+        fitter.model.at(at)
+        trials, _ = fitter.model.trials(np.array([at + move]))
+        exact = fitter.model.at(at + move)
         return sum(((a[0] - b) ** 2).sum() for a, b in zip(trials, exact, strict=True))
 
-    monkeypatch.setattr(fitter, "_finer", None)
+    monkeypatch.setattr(fitter.model, "finer", None)
     without = missed()
     finer = [one - other for one, other in zip(exact, rough, strict=True)]
-    monkeypatch.setattr(fitter, "_finer", finer)
+    monkeypatch.setattr(fitter.model, "finer", finer)
     assert missed() < 0.1 * without
 
 
 def test_hidden_vibrations_correct_errors_and_trials_once(near, monkeypatch):
     fitter, at, *_ = near
-    without, (plain, _) = fitter._errors_at(at), fitter._trials(at[None])
+    without, (plain, _) = fitter.model.at(at), fitter.model.trials(at[None])
     for size in (1e-3, 2e-3):  # found anew, a drift is another and not added
         hidden = [
             replace(HiddenVibrations.none(each), drift=np.full_like(each, size)) for each in without
         ]
-        monkeypatch.setattr(fitter, "_hidden", hidden)
-        found, (trials, _) = fitter._errors_at(at), fitter._trials(at[None])
+        monkeypatch.setattr(fitter.model, "hidden", hidden)
+        found, (trials, _) = fitter.model.at(at), fitter.model.trials(at[None])
         for old, new, tried, trial in zip(without, found, plain, trials, strict=True):
             assert new - old == pytest.approx(size) and trial - tried == pytest.approx(size)
 
 
 def test_hidden_vibrations_that_fit_worse_are_not_taken(near, monkeypatch):
     fitter, at, errors, *_ = near
-    monkeypatch.setattr(fitter, "_doubts", None)
+    monkeypatch.setattr(fitter.cost, "doubts", None)
     calm, wrong = (
         [replace(HiddenVibrations.none(each), drift=np.full_like(each, size)) for each in errors]
         for size in (0.0, 5e-3)
     )
-    sigma = np.ones(fitter._count)
+    sigma = np.ones(fitter.space.count)
     for before, anew, taken in ((calm, wrong, calm), (wrong, calm, calm), (None, wrong, wrong)):
-        monkeypatch.setattr(fitter, "_hidden", before)
-        monkeypatch.setattr(fitter, "_hidden_vibrations", lambda at, sigma, anew=anew: anew)
-        assert fitter._likelier_vibrations(at, sigma) is taken
-        assert fitter._hidden is before
+        monkeypatch.setattr(fitter.model, "hidden", before)
+        monkeypatch.setattr(fitter.model, "hidden_vibrations", lambda at, sigma, anew=anew: anew)
+        assert fitter.averages._likelier_vibrations(at, sigma) is taken
+        assert fitter.model.hidden is before
 
 
 def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
     fitter, at, *_ = near
-    own = [rows[fitter._count :] for rows in fitter._own]
+    own = [rows[fitter.space.count :] for rows in fitter.space.own]
     ends = [at.copy(), at.copy()]
     for k, rows in enumerate(own):
         ends[k % 2][rows] += 0.5  # off by centimetres
-    found = fitter._likeliest(ends)
+    found = fitter.start_search._likeliest(ends)
     for k, rows in enumerate(own):
         assert (found[rows] == ends[1 - k % 2][rows]).all()
 
@@ -357,23 +357,30 @@ def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
 def test_moves_of_some_sigmas_lead_to_robots(near):
     """Also next to a bound, where a move ends on it."""
     fitter, at, *_, information = near
-    searched = fitter._searched.copy()
-    searched[fitter._mass] = False
-    hessian = 1e-3 * information + fitter._precision  # of few data
-    axes = axes_of_robot(hessian, searched, fitter._count)
-    cut = fitter._names.index("exit_friction")
+    space = fitter.space
+    searched = space.searched.copy()
+    searched[space.mass] = False
+    hessian = 1e-3 * information + fitter.cost.precision  # of few data
+    axes = axes_of_robot(hessian, searched, space.count)
+    cut = space.names.index("exit_friction")
     on_bound = 0
-    for k, rows in enumerate(fitter._varied(searched)):
+    for k, rows in enumerate(space.varied(searched)):
         moves = scattered_moves(
-            axes, hessian, np.linalg.inv(hessian), fitter._count, rows, fitter._lower - at, k
+            axes,
+            hessian,
+            np.linalg.inv(hessian),
+            space.count,
+            rows,
+            space.lower - at,
+            k,
         )
         assert np.linalg.matrix_rank(moves) == len(rows)
         ends = np.tile(at, (len(moves), 1))
         ends[:, rows] += moves
-        assert (ends >= fitter._lower - 1e-12).all()
-        on_bound += np.isclose(ends[:, cut], fitter._lower[cut], atol=1e-9).sum()
+        assert (ends >= space.lower - 1e-12).all()
+        on_bound += np.isclose(ends[:, cut], space.lower[cut], atol=1e-9).sum()
         for end in ends:
-            fitter._unknowns.robot_at(end[: fitter._count])  # refuses what is no robot
+            fitter._unknowns.robot_at(end[: space.count])  # refuses what is no robot
     assert on_bound
 
 
@@ -393,19 +400,19 @@ def test_draws_within_bounds_stay_likely():
 
 def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
     fitter, at, errors, noise, _, exact, _ = near
-    inertia = fitter._names.index("inertia.xx")
+    inertia = fitter.space.names.index("inertia.xx")
 
     def doubt(columns):
-        monkeypatch.setattr(fitter, "_doubts", None)
-        monkeypatch.setattr(fitter, "_hidden", None)
+        monkeypatch.setattr(fitter.cost, "doubts", None)
+        monkeypatch.setattr(fitter.model, "hidden", None)
         linear = [
             replace(Linearization.nowhere(error), beyond=each)
             for error, each in zip(errors, columns, strict=True)
         ]
-        monkeypatch.setattr(fitter, "_linear", linear)
-        believed, _ = fitter._normal(errors, exact, noise)
-        monkeypatch.setattr(fitter, "_doubts", fitter._doubted(errors, exact, noise))
-        return believed, *fitter._normal(errors, exact, noise)
+        monkeypatch.setattr(fitter.cost, "linear", linear)
+        believed, _ = fitter.cost.normal(errors, exact, noise)
+        monkeypatch.setattr(fitter.cost, "doubts", fitter.cost._doubted(errors, exact, noise))
+        return believed, *fitter.cost.normal(errors, exact, noise)
 
     nothing = [np.zeros((each.size, 0)) for each in errors]
     believed, doubted, _ = doubt(nothing)
@@ -416,17 +423,17 @@ def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
     )
     lost = believed - doubted
     assert np.linalg.eigvalsh(lost).min() > -1e-9 * np.abs(believed).max()
-    own = fitter._own[2]
+    own = fitter.space.own[2]
     assert not np.delete(np.delete(lost, own, 0), own, 1).any()  # starts of others
     assert lost[inertia, inertia] > 1.0  # more than was known before
-    gradient = gradient + fitter._known_about(at).gradient
-    step = 1e-3 * np.linalg.solve(doubted + fitter._precision, gradient)
+    gradient = gradient + fitter.cost._known_about(at).gradient
+    step = 1e-3 * np.linalg.solve(doubted + fitter.cost.precision, gradient)
     behind, ahead = (
-        fitter._cost(
+        fitter.cost.of(
             at + side * step,
             [
                 error + side * jacobian @ step[rows]
-                for error, jacobian, rows in zip(errors, exact, fitter._own, strict=True)
+                for error, jacobian, rows in zip(errors, exact, fitter.space.own, strict=True)
             ],
             noise,
         )
@@ -437,13 +444,13 @@ def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
 
 def test_a_lost_start_is_found_again(plant, runs):
     fitter = fitter_of(plant, runs)
-    at = fitter._suited(fitter._first)
-    errors = fitter._errors_at(at)
+    at = fitter.start_search._suited(fitter.space.begin)
+    errors = fitter.model.at(at)
     noise = estimate_noise(errors)
     lost = at.copy()
-    own = fitter._own[4][fitter._count :]
+    own = fitter.space.start_of(4)
     lost[own] += [0.0, -3.0, 1.0, 2.0, 0.0, 1.0]
-    found, found_errors = fitter._found_again(lost, fitter._errors_at(lost), noise)
+    found, found_errors = fitter._found_again(lost, fitter.model.at(lost), noise)
     assert noise.cost(found_errors[4]) < 1.1 * noise.cost(errors[4])
     others = np.setdiff1d(np.arange(len(at)), own)
     assert (found[others] == lost[others]).all()
@@ -452,14 +459,14 @@ def test_a_lost_start_is_found_again(plant, runs):
 def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs):
     """A second solution that costs a few times as much would bias the robot."""
     fitter = fitter_of(plant, runs)
-    at = fitter._suited(fitter._first)
-    noise = estimate_noise(fitter._errors_at(at))
-    own = fitter._own[4][fitter._count :]
+    at = fitter.start_search._suited(fitter.space.begin)
+    noise = estimate_noise(fitter.model.at(at))
+    own = fitter.space.start_of(4)
 
     def off(share):
         point = at.copy()
         point[own] += share * np.array([0.0, -3.0, 1.0, 2.0, 0.0, 1.0])
-        errors = fitter._errors_at(point)
+        errors = fitter.model.at(point)
         costs = [noise.cost(each) / each.size for each in errors]
         return point, errors, costs[4] / np.median(costs)
 
@@ -472,13 +479,18 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
 
 def test_what_is_held_out_costs_what_its_best_start_does(near):
     fitter, at, errors, noise, _, exact, _ = near
-    count, rows = fitter._count, fitter._own[2][fitter._count :]
-    fold = fitter._fold(2, Judge(noise=noise), errors[2], exact[2])
-    apart = fitter._with_start(2, at, fold).least_beside(count)
+    count, rows = fitter.space.count, fitter.space.start_of(2)
+    judge = Judge(noise=noise)
+    apart = fitter.cost.run_about(2, at, judge, errors[2], exact[2]).least_beside(count)
+    starts = exact[2][:, :, count:]
 
     def cost(start):
-        change = np.concatenate([np.zeros(count), start - at[rows]])
-        return fold.at(change) + float(start @ start)
+        moved = errors[2] + starts @ (start - at[rows])
+        before, after = (
+            judge.product(2, errors[2], each.reshape(-1, 1), each.reshape(-1, 1))[0, 0]
+            for each in (errors[2], moved)
+        )
+        return judge.cost(2, errors[2]) + after - before + start @ start
 
     best = minimize(cost, at[rows], tol=1e-12)
     assert apart.at(np.zeros(count)) == pytest.approx(best.fun, rel=1e-6)
@@ -486,38 +498,35 @@ def test_what_is_held_out_costs_what_its_best_start_does(near):
 
 def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
     fitter = fitter_of(plant, runs[:2])
-    at = fitter._first
-    errors, slopes = fitter._errors_at(at), fitter._jacobians(at, coarse=True)
-    state = search_state.Search(
-        at=at, errors=[errors[0][:1], errors[1][:4]], jacobians=[slopes[0][:1], slopes[1][:4]],
-        count=1, settled=True,
-    )  # fmt: skip
-    folds = fitter._folds(state, Judge(noise=estimate_noise(errors)))
+    at = fitter.space.begin
+    errors, slopes = fitter.model.at(at), fitter.model.jacobians(at, coarse=True)
+    short, judge = (errors[0][:1], errors[1][:4]), Judge(noise=estimate_noise(errors))
+    folds = fitter.cost.folds(at, short, (slopes[0][:1], slopes[1][:4]), judge)
     assert len(folds.parts) == 1 + 4
 
 
 def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch):
     fitter = fitter_of(plant, runs)
-    at, simulated = fitter._first, fitter._simulated
-    errors = fitter._errors_at(at)
+    at, simulated = fitter.space.begin, fitter.model.simulated
+    errors = fitter.model.at(at)
 
     def wild(points, *, refined=1):
         found, good = simulated(points, refined=refined)
         found[2] = found[2] + 0.01 * (-1.0) ** (refined // 2)  # does not fall with the step
         return found, good
 
-    fitter._leave_out_unfollowed(at, errors)
-    assert fitter._kept == list(range(len(runs)))
-    monkeypatch.setattr(fitter, "_simulated", wild)
-    fitter._leave_out_unfollowed(at, errors)
-    assert fitter._kept == [k for k in range(len(runs)) if k != 2]
-    jacobians = fitter._jacobians(at, coarse=True)
-    assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter._kept)
+    fitter.averages.leave_out_unfollowed(at, errors)
+    assert fitter.space.kept == list(range(len(runs)))
+    monkeypatch.setattr(fitter.model, "simulated", wild)
+    fitter.averages.leave_out_unfollowed(at, errors)
+    assert fitter.space.kept == [k for k in range(len(runs)) if k != 2]
+    jacobians = fitter.model.jacobians(at, coarse=True)
+    assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter.space.kept)
 
 
 def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeypatch):
     fitter, at, _, noise, _, _, information = near
-    simulated = fitter._simulated
+    simulated = fitter.model.simulated
 
     def bent(points, *, refined=1):
         found, good = simulated(points, refined=refined)
@@ -526,37 +535,35 @@ def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeyp
         return found, good
 
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all else is linear
-    for name, value in (
-        ("_hidden", None), ("_linear", None), ("_simulated", bent), ("_rises", fitter._rises),
-        ("_noise", lambda errors: noise),
-    ):  # fmt: skip
-        monkeypatch.setattr(fitter, name, value)
-    fitter._linearized(at, information + fitter._precision)
-    bends = np.arange(len(fitter._rises)) == 2
-    assert (np.abs(fitter._rises[~bends]) < 1.0).all()
-    assert fitter._rises[2] > 5.0
+    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.model, "simulated", bent)
+    monkeypatch.setattr(fitter.cost, "noise", lambda errors: noise)
+    rises = fitter.averages.averaged(at, information + fitter.cost.precision).rises
+    bends = np.arange(len(rises)) == 2
+    assert (np.abs(rises[~bends]) < 1.0).all()
+    assert rises[2] > 5.0
 
 
 def test_chance_that_a_start_makes_up_for_takes_no_information(near, monkeypatch):
     fitter, _, errors, noise, _, exact, _ = near
-    for name in ("_hidden", "_doubts"):
-        monkeypatch.setattr(fitter, name, None)
-    searched = fitter._searched.copy()
-    searched[fitter._mass] = False
+    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.cost, "doubts", None)
+    searched = fitter.space.searched.copy()
+    searched[fitter.space.mass] = False
     linear = [
         replace(
             Linearization.nowhere(error),
-            chance=slopes[:, :, fitter._count].reshape(-1, 1),
+            chance=slopes[:, :, fitter.space.count].reshape(-1, 1),
             scatter=np.eye(len(rows)),
         )
-        for error, slopes, rows in zip(errors, exact, fitter._varied(searched), strict=True)
+        for error, slopes, rows in zip(errors, exact, fitter.space.varied(searched), strict=True)
     ]
-    fitter._fill_alike(exact)
-    information, _ = fitter._normal(errors, exact, noise)
-    monkeypatch.setattr(fitter, "_linear", linear)
-    left = fitter._believed(information, errors, exact, noise)
-    monkeypatch.setattr(fitter, "_linear", None)
-    raw, believed = (fitter._marginal(each) for each in (information, left))
+    fitter.space.fill_alike(exact)
+    information, _ = fitter.cost.normal(errors, exact, noise)
+    monkeypatch.setattr(fitter.cost, "linear", linear)
+    left = fitter.averages.believed(information, errors, exact, noise)
+    monkeypatch.setattr(fitter.cost, "linear", None)
+    raw, believed = (fitter.cost.marginal(each) for each in (information, left))
     assert believed == pytest.approx(raw, rel=1e-3, abs=1e-3 * np.abs(raw).max())
 
 
@@ -806,124 +813,127 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
     """The end of a search is nearer to that of all chances than these are."""
     fitter, at, errors, noise, _, exact, _ = near
     rng = np.random.default_rng(3)
-    fitter._fill_alike(exact)
+    fitter.space.fill_alike(exact)
     still = [HiddenVibrations.none(each) for each in errors]
-    monkeypatch.setattr(fitter, "_linear", None)
-    monkeypatch.setattr(fitter, "_doubts", None)
-    monkeypatch.setattr(fitter, "_likelier_vibrations", lambda at, sigma: still)
-    monkeypatch.setattr(fitter, "_noise", lambda errors: noise)
-    white, own = [np.zeros_like(each) for each in errors], slice(fitter._count)
-    information, _ = fitter._normal(white, exact, noise)
-    hessian = information + fitter._precision
-    left = fitter._marginal(information) + fitter._prior[own, own]
+    monkeypatch.setattr(fitter.cost, "linear", None)
+    monkeypatch.setattr(fitter.cost, "doubts", None)
+    monkeypatch.setattr(fitter.averages, "_likelier_vibrations", lambda at, sigma: still)
+    monkeypatch.setattr(fitter.cost, "noise", lambda errors: noise)
+    white, own = [np.zeros_like(each) for each in errors], slice(fitter.space.count)
+    information, _ = fitter.cost.normal(white, exact, noise)
+    hessian = information + fitter.cost.precision
+    left = fitter.cost.marginal(information) + fitter.space.prior[own, own]
     root = np.linalg.cholesky(np.linalg.inv(left))
 
     def jump(numbers):
-        return np.concatenate([0.5 * root @ numbers, np.zeros(len(at) - fitter._count)])
+        return np.concatenate([0.5 * root @ numbers, np.zeros(len(at) - fitter.space.count)])
 
-    searched = fitter._searched.copy()
-    searched[fitter._mass] = False
+    searched = fitter.space.searched.copy()
+    searched[fitter.space.mass] = False
     linear = [
         replace(Linearization.nowhere(each), scatter=np.eye(len(rows)))
-        for each, rows in zip(errors, fitter._varied(searched), strict=True)
+        for each, rows in zip(errors, fitter.space.varied(searched), strict=True)
     ]
 
-    def linearized(point, _):
-        fitter._linear = linear
-        away = point - at + jump(rng.standard_normal(fitter._count))
+    def averaged(point, _):
+        away = point - at + jump(rng.standard_normal(fitter.space.count))
         found = [
             each + jacobian @ away[own]
-            for each, jacobian, own in zip(white, exact, fitter._own, strict=True)
+            for each, jacobian, own in zip(white, exact, fitter.space.own, strict=True)
         ]
-        return found, exact
+        return Averaged(errors=found, jacobians=exact, linear=linear, rises=np.zeros(len(found)))
 
-    monkeypatch.setattr(fitter, "_linearized", linearized)
-    monkeypatch.setattr(fitter, "_known_about", lambda point: Quadratic(
-        cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
+    monkeypatch.setattr(fitter.averages, "averaged", averaged)
+    monkeypatch.setattr(fitter.cost, "_known_about", lambda point: Quadratic(
+        cost=0.0, gradient=fitter.space.prior @ (point - at), information=fitter.space.prior
     ))  # fmt: skip
-    begin = at + jump(np.full(fitter._count, 1.6))
+    begin = at + jump(np.full(fitter.space.count, 1.6))
 
     def search():
-        found = fitter._settle_averages(begin, hessian, 0, lambda *_: None)
+        found = fitter.averages.search(begin, hessian, 0, lambda *_: None)
         away = (found.at - at)[own]
         return found.settled, away @ left @ away
 
-    fitter._about(at, white, exact, noise)
-    step = jump(np.ones(fitter._count))
-    assert fitter._turns_back(step, -step, hessian)
-    assert not fitter._turns_back(step, 0.1 * step, hessian)
+    fitter.cost.look(at, white, exact, noise)
+    step = jump(np.ones(fitter.space.count))
+    assert fitter.space.turns_back(step, -step, hessian)
+    assert not fitter.space.turns_back(step, 0.1 * step, hessian)
     settled, away = search()
-    assert settled and away < 1.5 * AVERAGES_DECREASE * fitter._count
-    monkeypatch.setattr(fitter, "_turns_back", lambda *_: False)
+    assert settled and away < 1.5 * AVERAGES_DECREASE * fitter.space.count
+    monkeypatch.setattr(fitter.space, "turns_back", lambda *_: False)
     settled, farther = search()
     assert not settled and farther > 2.0 * away
 
 
 def test_a_search_ends_where_those_lead_that_are_nearly_linear(near, monkeypatch):
     fitter, at, errors, noise, _, exact, _ = near
-    fitter._fill_alike(exact)
+    fitter.space.fill_alike(exact)
     still = [HiddenVibrations.none(each) for each in errors]
-    rugged, own = 3, slice(fitter._count)
-    for name, value in (
-        ("_linear", None), ("_doubts", None), ("_hidden_vibrations", lambda at, sigma: still),
-        ("_noise", lambda errors: noise), ("_searched", fitter._searched.copy()),
-        ("_followed", fitter._followed.copy()), ("_rises", fitter._rises),
-        ("_known_about", lambda point: Quadratic(
-            cost=0.0, gradient=fitter._prior @ (point - at), information=fitter._prior
+    rugged, own = 3, slice(fitter.space.count)
+    monkeypatch.setattr(fitter.averages, "_likelier_vibrations", lambda at, sigma: still)
+    for part, name, value in (
+        (fitter.cost, "linear", None), (fitter.cost, "doubts", None),
+        (fitter.cost, "noise", lambda errors: noise),
+        (fitter.space, "searched", fitter.space.searched.copy()),
+        (fitter.space, "followed", fitter.space.followed.copy()),
+        (fitter.cost, "_known_about", lambda point: Quadratic(
+            cost=0.0, gradient=fitter.space.prior @ (point - at), information=fitter.space.prior
         )),
     ):  # fmt: skip
-        monkeypatch.setattr(fitter, name, value)
-    monkeypatch.setattr(fit, "RUNS_APART_MIN", 4)  # so that one of ten may be left out
-    searched = fitter._searched.copy()
-    searched[fitter._mass] = False
-    rng, varied = np.random.default_rng(6), fitter._varied(searched)
-    off = 20.0 * rng.standard_normal(fitter._count)
-    rises, followed = np.where(np.arange(len(errors)) == rugged, 1e3, 0.0), fitter._kept
+        monkeypatch.setattr(part, name, value)
+    monkeypatch.setattr(averages, "RUNS_APART_MIN", 4)  # so that one of ten may be left out
+    searched = fitter.space.searched.copy()
+    searched[fitter.space.mass] = False
+    rng, varied = np.random.default_rng(6), fitter.space.varied(searched)
+    off = 20.0 * rng.standard_normal(fitter.space.count)
+    rises, followed = np.where(np.arange(len(errors)) == rugged, 1e3, 0.0), fitter.space.kept
 
-    def linearized(point, _):
-        fitter._rises = rises
-        fitter._linear = [
-            replace(Linearization.nowhere(error), scatter=np.eye(len(rows)))
-            for error, rows in zip(errors, varied, strict=True)
-        ]
-        away = [(point - at)[rows] for rows in fitter._own]
+    linear = [
+        replace(Linearization.nowhere(error), scatter=np.eye(len(rows)))
+        for error, rows in zip(errors, varied, strict=True)
+    ]
+
+    def averaged(point, _):
+        away = [(point - at)[rows] for rows in fitter.space.own]
         away[rugged][own] += off
-        return [slopes @ move for slopes, move in zip(exact, away, strict=True)], exact
+        found = [slopes @ move for slopes, move in zip(exact, away, strict=True)]
+        return Averaged(errors=found, jacobians=exact, linear=linear, rises=rises)
 
-    monkeypatch.setattr(fitter, "_linearized", linearized)
-    information, _ = fitter._normal([np.zeros_like(each) for each in errors], exact, noise)
-    begin, hessian = at.copy(), information + fitter._precision
+    monkeypatch.setattr(fitter.averages, "averaged", averaged)
+    information, _ = fitter.cost.normal([np.zeros_like(each) for each in errors], exact, noise)
+    begin, hessian = at.copy(), information + fitter.cost.precision
     begin[own] += 0.5
-    found = fitter._settle_averages(begin, hessian, 0, lambda *_: None)
-    assert found.settled and fitter._kept == [k for k in followed if k != rugged]
+    found = fitter.averages.search(begin, hessian, 0, lambda *_: None)
+    assert found.settled and fitter.space.kept == [k for k in followed if k != rugged]
     assert found.at[own] == pytest.approx(at[own], abs=1e-3)
-    fitter._followed[rugged], rises[:6] = True, 1e3  # most runs are
-    assert fitter._settle_averages(begin, hessian, 0, lambda *_: None) is None
-    assert fitter._kept == followed
+    fitter.space.followed[rugged], rises[:6] = True, 1e3  # most runs are
+    assert fitter.averages.search(begin, hessian, 0, lambda *_: None) is None
+    assert fitter.space.kept == followed
 
 
 def test_where_averages_lead_nowhere_derivatives_go_on(near, monkeypatch):
     fitter, at, errors, *_ = near
     still = [HiddenVibrations.none(each) for each in errors]
     few = replace(fitter._settings, iterations=fit.ROUGH_STEPS_MAX + 1)
-    for name, value in (
-        ("_linear", None), ("_doubts", None), ("_hidden", None), ("_finer", None),
-        ("_hidden_vibrations", lambda at, sigma: still), ("_settings", few),
-        ("_settle_averages", lambda *_: None),
+    for part, name, value in (
+        (fitter.cost, "linear", None), (fitter.cost, "doubts", None),
+        (fitter.model, "hidden", None), (fitter.model, "finer", None),
+        (fitter.model, "hidden_vibrations", lambda at, sigma: still), (fitter, "_settings", few),
+        (fitter.averages, "search", lambda *_: None),
     ):  # fmt: skip
-        monkeypatch.setattr(fitter, name, value)
+        monkeypatch.setattr(part, name, value)
     found = fitter._settle(at, None, lambda *_: None)
-    assert found.count == fit.ROUGH_STEPS_MAX + 1 and fitter._linear is None
-    noise = fitter._noise(found.errors)
-    assert fitter._cost(found.at, found.errors, noise) < fitter._cost(at, errors, noise)
+    assert found.count == fit.ROUGH_STEPS_MAX + 1 and fitter.cost.linear is None
+    noise = fitter.cost.noise(found.errors)
+    assert fitter.cost.of(found.at, found.errors, noise) < fitter.cost.of(at, errors, noise)
 
 
 def test_data_leave_nothing_more_open_than_it_was_before(near):
     fitter, *_ = near
-    known = 0.5 * np.linalg.cholesky(np.linalg.inv(fitter._precision))
+    known = 0.5 * np.linalg.cholesky(np.linalg.inv(fitter.cost.precision))
     kept = fitter._no_worse_known(known)
     assert kept @ kept.T == pytest.approx(known @ known.T, abs=1e-12)
     wide = known.copy()
     wide[3] *= 1e6
     kept = fitter._no_worse_known(wide)
-    assert np.diag(kept @ kept.T)[3] == pytest.approx(np.linalg.inv(fitter._precision)[3, 3])
+    assert np.diag(kept @ kept.T)[3] == pytest.approx(np.linalg.inv(fitter.cost.precision)[3, 3])

@@ -150,7 +150,7 @@ def test_what_is_left_for_the_robot_is_the_information_behind_its_covariance():
     root = np.random.default_rng(0).standard_normal((count + 4, count + 4))
     joint = root @ root.T
     prior = unknowns.prior.information
-    left = fitter._marginal(joint)
-    block = np.linalg.inv(joint + fitter._precision)[:count, :count]
+    left = fitter.cost.marginal(joint)
+    block = np.linalg.inv(joint + fitter.cost.precision)[:count, :count]
     assert np.linalg.inv(left + prior) == pytest.approx(block, rel=1e-6, abs=1e-9)
     assert np.linalg.eigvalsh(joint[:count, :count] - left).min() > -1e-9  # it takes, never gives
