@@ -41,7 +41,7 @@ FOLLOWED_SIGMAS = 1.0  # of a run's errors together, by which time steps may lea
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Averaged:
+class MeanErrors:
     """Errors of all runs over what is uncertain.
 
     Attributes:
@@ -61,12 +61,14 @@ class Averaged:
 class Averages:
     """Leads a search to its end."""
 
-    def __init__(self, space: SearchSpace, model: RunErrors, cost: FitCost, steps: int) -> None:
+    def __init__(
+        self, space: SearchSpace, run_errors: RunErrors, cost: FitCost, steps_max: int
+    ) -> None:
         """Take what is searched, what it misses, what that costs, and the most steps together."""
         self._space = space
-        self._model = model
+        self._run_errors = run_errors
         self._cost = cost
-        self._steps = steps
+        self._steps_max = steps_max
 
     def leave_out_unfollowed(self, at: Array, errors: Sequence[Array]) -> None:
         """Leave out the runs that no time step follows.
@@ -79,7 +81,7 @@ class Averages:
             at: All coordinates.
             errors: Of each run there (K, 6).
         """
-        off = self._model.off_by_time_steps(at, self._cost.noise(errors).sigma)
+        off = self._run_errors.off_by_time_steps(at, self._cost.noise(errors).sigma)
         self._space.keep_only(off <= max(FOLLOWED_SIGMAS, float(np.median(off))))
 
     def search(
@@ -107,9 +109,9 @@ class Averages:
             count, first = count + 1, found is None
             if found is None or is_stale(at - found, hessian, space.count):
                 sigma = np.sqrt(np.diag(np.linalg.inv(hessian))[: space.count])
-                self._model.hidden, found = self._likelier_vibrations(at, sigma), at
+                self._run_errors.hidden, found = self._likelier_vibrations(at, sigma), at
                 last, turns = np.zeros(len(at)), 1  # the end is another one
-            averaged = self.averaged(at, hessian)
+            averaged = self.mean_errors(at, hessian)
             cost.linear = averaged.linear
             errors, jacobians = averaged.errors, averaged.jacobians
             straight = averaged.rises <= RISE_MAX * space.searched.sum() / len(space.kept)
@@ -120,14 +122,14 @@ class Averages:
             if first:
                 space.keep_only(straight)
             noise = cost.noise(errors)
-            self._model.report(report, errors)
+            self._run_errors.report(report, errors)
             hessian, gradient = cost.about(at, errors, jacobians, noise)
             step = space.step(at, hessian, gradient)
             turns += space.turns_back(last, step, hessian)
             left = space.promise(step, hessian, gradient) / turns
             last, step = step, step / turns
             settled = left <= AVERAGES_DECREASE * space.count
-            if settled or count >= self._steps:
+            if settled or count >= self._steps_max:
                 break
             information = hessian - cost.precision
             hessian = self.believed(information, errors, jacobians, noise) + cost.precision
@@ -139,7 +141,7 @@ class Averages:
             at = end
         return Search(at=at, errors=errors, jacobians=jacobians, count=count, settled=settled)
 
-    def averaged(self, at: Array, hessian: Array) -> Averaged:
+    def mean_errors(self, at: Array, hessian: Array) -> MeanErrors:
         """Return errors over what is uncertain.
 
         Time steps change them as they do at `at`: what they change along a move is more rugged than
@@ -153,7 +155,7 @@ class Averages:
             CarosacError: One of the robots does not move.
         """
         space = self._space
-        here = self._model.at(at)
+        here = self._run_errors.at(at)
         searched = space.searched.copy()
         alike = space.told_by_alike(searched)
         varied = space.varied(searched)
@@ -161,7 +163,7 @@ class Averages:
         points = [np.tile(at, (len(each), 1)) for each in moves]
         for each, rows, move in zip(points, varied, moves, strict=True):
             each[:, rows] += move
-        found, good = self._model.simulated(points)
+        found, good = self._run_errors.simulated(points)
         if not all(each.all() for each in good):
             raise CarosacError("identification: no finite motion of a robot that fits as well")
         kept, noise = space.kept, self._cost.noise(here)
@@ -171,7 +173,7 @@ class Averages:
         )  # fmt: skip
         errors, jacobians, linears = [], [], []
         for k, (rows, move, more) in enumerate(
-            zip(varied, moves, self._model.correction.errors, strict=True)
+            zip(varied, moves, self._run_errors.correction.errors, strict=True)
         ):
             linear = (
                 Linearization.of(move, found[k], bent)
@@ -179,14 +181,14 @@ class Averages:
                 else Linearization.nowhere(here[k] - more)
             )
             errors.append(linear.mean + more)
-            jacobians.append(self._model.by_coordinates(k, rows, linear.slopes))
+            jacobians.append(self._run_errors.by_coordinates(k, rows, linear.slopes))
             linears.append(linear)
         if alike:
             space.fill_alike(jacobians)
         rises = np.array([
             noise.cost(mean) - noise.cost(error) for mean, error in zip(errors, here, strict=True)
         ])  # fmt: skip
-        return Averaged(errors=errors, jacobians=jacobians, linear=linears, rises=rises)
+        return MeanErrors(errors=errors, jacobians=jacobians, linear=linears, rises=rises)
 
     def _moves(
         self,
@@ -222,15 +224,15 @@ class Averages:
             at: As of `RunErrors.hidden_vibrations`.
             sigma: The same.
         """
-        model = self._model
-        anew, before = model.hidden_vibrations(at, sigma), model.hidden
+        runs = self._run_errors
+        anew, before = runs.hidden_vibrations(at, sigma), runs.hidden
         if before is None:
             return anew
-        errors = model.at(at)
+        errors = runs.at(at)
         noise = self._cost.noise(errors)
-        model.hidden = anew
-        better = self._cost.of(at, model.at(at), noise) < self._cost.of(at, errors, noise)
-        model.hidden = before
+        runs.hidden = anew
+        better = self._cost.total(at, runs.at(at), noise) < self._cost.total(at, errors, noise)
+        runs.hidden = before
         return anew if better else before
 
     def believed(

@@ -1,4 +1,4 @@
-"""Gauss-Newton on coordinates of a robot; one batch of worlds a run gives errors and Jacobian."""
+"""The course of a search for the robot that moves as measured, and what its end tells."""
 
 from __future__ import annotations
 
@@ -75,7 +75,16 @@ class CoordinateFit:
 
 
 class Fitter:
-    """The search for the robot that moves as measured."""
+    """The search for the robot that moves as measured; each runs once.
+
+    Attributes:
+        space: Coordinates that are searched.
+        run_errors: What the recordings miss.
+        cost: What that costs.
+        steps: Steps by derivatives.
+        start_search: Search for the starts alone.
+        averages: End of the search where averages lead to it.
+    """
 
     def __init__(
         self,
@@ -102,14 +111,14 @@ class Fitter:
         self._settings = settings
         self._judge = judge
         self.space = SearchSpace(unknowns, runs, robot_at)
-        self.model = RunErrors(self.space, runs, settings.time_step)
-        self.cost = FitCost(self.space, self.model, frequencies)
-        self.steps = StepSearch(self.space, self.model, self.cost)
-        self.start_search = StartSearch(self.space, self.model, self.cost, self.steps)
-        self.averages = Averages(self.space, self.model, self.cost, settings.iterations)
+        self.run_errors = RunErrors(self.space, runs, settings.time_step)
+        self.cost = FitCost(self.space, self.run_errors, frequencies)
+        self.steps = StepSearch(self.space, self.run_errors, self.cost)
+        self.start_search = StartSearch(self.space, self.run_errors, self.cost, self.steps)
+        self.averages = Averages(self.space, self.run_errors, self.cost, settings.iterations)
         self._axes = 1.0 if self.space.many else CORRELATED_AXES  # that count as one
         # whether cables do beside a sway, which is averaged, or as starts say
-        self._vibrate = self.model.sways or any(len(run.sway.stretch_sigma) for run in runs)
+        self._vibrate = self.run_errors.sways or any(len(run.sway.stretch_sigma) for run in runs)
 
     def run(self, report: ProgressCallback, nearly: Array | None = None) -> CoordinateFit:
         """Search.
@@ -124,7 +133,7 @@ class Fitter:
             CarosacError: The robot's simulation fails where the search stands.
         """
         at = self._begin(nearly)
-        if nearly is not None and self.model.sways:
+        if nearly is not None and self.run_errors.sways:
             return self._settled(self.start_search.begin(at, POSE_SHARES[:-1]), report)
         return self._settled(self._approached(at, report), report)
 
@@ -140,7 +149,7 @@ class Fitter:
     def starts(self) -> tuple[Array, ...]:
         """Search for the starts of the runs alone, without a report."""
         at = self.start_search.begin(self.space.begin, POSE_SHARES[:-1])
-        self.model.look_at(1.0)
+        self.run_errors.look_at(1.0)
         state = self._settle(at, None, lambda poses, position, rotation: None)
         return self.space.starts_at(state.at)
 
@@ -152,17 +161,17 @@ class Fitter:
     def _approached(self, at: Array, report: ProgressCallback) -> Array:
         """Return all coordinates to which ever more of the poses lead."""
         at = self.start_search.begin(at, POSE_SHARES[:1])
-        shares = SHARES_OF_MANY if self.space.many and not self.model.sways else POSE_SHARES
+        shares = SHARES_OF_MANY if self.space.many and not self.run_errors.sways else POSE_SHARES
         for share in shares[:-1]:
-            self.model.look_at(share)
+            self.run_errors.look_at(share)
             at = self._settle(at, STEPS_PER_SHARE, report).at
-        self.model.look_at_all()
+        self.run_errors.look_at_all()
         return at
 
     def _settled(self, at: Array, report: ProgressCallback) -> CoordinateFit:
         """Search from there with all poses."""
         space, cost = self.space, self.cost
-        self.model.look_at(1.0)
+        self.run_errors.look_at(1.0)
         state = self._settle(at, None, report)
         at = state.at
         left_out = [k for k, followed in enumerate(space.followed) if not followed]
@@ -200,10 +209,12 @@ class Fitter:
         damping, settled = DAMPING_START, False
         alone = not space.robot_is_searched  # starts: exact ones cost little more
         averages = steps is None and many and not alone and self._vibrate
-        coarse = steps is not None or not (self.model.sways and alone)
+        coarse = steps is not None or not (self.run_errors.sways and alone)
         if averages:
-            self.model.hidden = self.model.hidden_vibrations(at, self._unknowns.prior.sigma)
-        errors = self.model.at(at)
+            self.run_errors.hidden = self.run_errors.hidden_vibrations(
+                at, self._unknowns.prior.sigma
+            )
+        errors = self.run_errors.at(at)
         least = SETTLED_DECREASE * self._axes
         if many:
             least = (PART_DECREASE if steps else MANY_DECREASE) * space.count
@@ -211,15 +222,15 @@ class Fitter:
             least = STALE_SIGMAS**2 * space.count  # from where averages lead to the end
         for count in range(1, (steps or self._settings.iterations) + 1):
             final = steps is not None or not coarse  # it may end with these derivatives
-            jacobians = self.model.jacobians(at, coarse=coarse)
+            jacobians = self.run_errors.jacobians(at, coarse=coarse)
             if count <= NOISE_UPDATES_MAX:
                 noise = self.cost.noise(errors)
-            self.model.report(report, errors)
+            self.run_errors.report(report, errors)
             hessian, gradient = self.cost.about(at, errors, jacobians, noise)
             promise = space.promise(space.bounded(at, hessian, gradient), hessian, gradient)
             settled, stuck = promise <= least, False
             # by exact derivatives, a last one too
-            if not settled or (self.model.sways and not coarse):
+            if not settled or (self.run_errors.sways and not coarse):
                 step = self.steps.search(at, hessian, gradient, errors, noise, damping, least)
                 stuck = not settled and step.decrease <= least
                 settled = settled or (not coarse and 0.0 < step.decrease <= least)
@@ -233,7 +244,7 @@ class Fitter:
                 if search is not None:
                     return search
                 averages, ended, least = False, False, MANY_DECREASE * space.count
-                errors = self.model.at(at)
+                errors = self.run_errors.at(at)
             if ended and final:
                 break
             coarse &= not ended
@@ -257,17 +268,17 @@ class Fitter:
         new = at.copy()
         for k, start in zip(lost, self._sought(at, lost), strict=True):
             new[self.space.start_of(k)] = start
-        found = self.model.at(new)
+        found = self.run_errors.at(new)
         point = at.copy()
         for k in lost:
             rows = self.space.start_of(k)
             if noise.cost(found[k]) < noise.cost(errors[k]):
                 point[rows] = new[rows]
-        return point, self.model.at(point)
+        return point, self.run_errors.at(point)
 
     def _sought(self, at: Array, which: Sequence[int]) -> tuple[Array, ...]:
         """Return starts of some runs beside the robot, by all poses, also those that lead."""
-        return self._beside(at, [self.model.whole[k] for k in which]).starts()
+        return self._beside(at, [self.run_errors.whole[k] for k in which]).starts()
 
     def _beside(self, at: Array, runs: Sequence[FittedRun]) -> Fitter:
         """Return a search for the starts of some runs beside the robot of coordinates."""
@@ -303,17 +314,16 @@ class Fitter:
         smaller than noise by what was fitted to them. In a few, scores of long stretches tell what
         lasts for less than these; what lasts longer shows in all axes.
         """
-        space, sums = self.space, []
+        space, judge, sums = self.space, self.cost.judge(noise), []
         for k in space.kept:
             own, errors = space.own[k], state.errors[k]
             if space.many:
                 flat = state.jacobians[k].reshape(-1, len(own))
-                judge = self.cost.judge(noise)
                 parts = judge.product(k, errors, flat, errors.reshape(-1, 1)).T
             else:
                 weights = noise.weights(errors)
                 scores = np.einsum("nci,nc->ni", state.jacobians[k], weights * errors)
-                time = self.model.runs[k].poses.time
+                time = self.run_errors.runs[k].poses.time
                 length = max(1, int(np.searchsorted(time, time[0] + SCORE_STRETCH_S)))
                 parts = np.add.reduceat(scores, np.arange(0, len(scores), length), axis=0)
             whole = np.zeros((len(parts), len(information)))

@@ -1,4 +1,4 @@
-"""What errors of recordings cost, with all else that is known of the coordinates of a search."""
+"""The cost of errors of recordings, with all else that is known of the coordinates of a search."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ class FitCost:
     """
 
     def __init__(
-        self, space: SearchSpace, model: RunErrors, frequencies: FrequencyTable | None
+        self, space: SearchSpace, run_errors: RunErrors, frequencies: FrequencyTable | None
     ) -> None:
         """Take what is known beside the recordings.
 
         Args:
             space: Coordinates that are searched.
-            model: Whose errors cost.
+            run_errors: What the recordings miss.
             frequencies: Measured beside the recordings; None: none.
         """
         self._space = space
-        self._model = model
+        self._run_errors = run_errors
         self._frequencies = (
             None
             if frequencies is None
@@ -67,7 +67,7 @@ class FitCost:
         """Return by which errors count, with noise of each."""
         return Judge(noise=noise, doubts=self.doubts)
 
-    def of(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
+    def total(self, at: Array, errors: Sequence[Array], noise: PoseErrorNoise) -> float:
         """Return the cost of errors of all runs at coordinates, with all else that is known."""
         judge = self.judge(noise)
         data = sum(judge.cost(k, errors[k]) for k in self._space.kept)
@@ -138,7 +138,7 @@ class FitCost:
 
         Vibrations that noise hides change them, and what linear functions leave out.
         """
-        hidden, linear = self._model.hidden, self.linear
+        hidden, linear = self._run_errors.hidden, self.linear
         if hidden is None and linear is None:
             return None
         columns = [np.zeros((each.size, 0)) for each in errors]

@@ -32,7 +32,8 @@ class RunErrors:
         runs: With the poses that count now.
         whole: With all of them.
         exact: True if errors are of vanishing time steps.
-        sways: True if only the sway of all runs counts, which averages show.
+        sways: True if only the sway of all runs counts, which averages show, and runs are many or
+            starts alone are searched.
         hidden: What vibrations that noise hides change of errors of each run; None: not looked at.
         finer: What time steps make derivatives wrong by; None: not looked at.
         correction: Of simulated errors, as found last.

@@ -19,7 +19,7 @@ STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
 
 
 class SearchSpace:
-    """What a search may change, and how far; which runs tell of it.
+    """Coordinates that a search may change, how far, and which runs tell of them.
 
     Attributes:
         unknowns: The first k coordinates, those of the robot.
@@ -132,7 +132,16 @@ class SearchSpace:
         return np.asarray(np.maximum(moved, self.lower))
 
     def step(self, at: Array, hessian: Array, gradient: Array, damping: float = 0.0) -> Array:
-        """Return a damped step to the least of a quadratic cost, of which none goes too far."""
+        """Return a damped step to the least of a quadratic cost, within bounds.
+
+        No coordinate moves by more than `STEP_MAX_SIGMAS` of its prior.
+
+        Args:
+            at: All coordinates.
+            hessian: Of half the cost.
+            gradient: Of it.
+            damping: Of the Hessian's diagonal.
+        """
         damped = hessian + damping * np.diag(np.diag(hessian))
         return self.bounded(at, damped, gradient, STEP_MAX_SIGMAS * self._sigma)
 

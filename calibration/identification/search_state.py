@@ -1,4 +1,4 @@
-"""Where a search stands: derivatives that it took, the end of a step, and its own end."""
+"""Where a search stands: a correction, the end of a step, its own end, and when it has settled."""
 
 from __future__ import annotations
 

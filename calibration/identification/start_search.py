@@ -20,18 +20,18 @@ GUESS_TRIES = (*START_TRIES, (1.0, 1.0), (1.0, 10.0))
 # Growths of the first guess of a start from which one is sought, and the best is taken: friction
 # takes away what a mode swung by before its first pose. 2.5 leads where 1.5 does.
 GUESS_GROWTHS = (1.0, 1.5)
-STARTS_STEPS_MAX = 8
+STARTS_STEPS_MAX = 8  # of the starts alone, before the robot is searched
 
 
 class StartSearch:
     """Lets recordings start as suits a robot."""
 
     def __init__(
-        self, space: SearchSpace, model: RunErrors, cost: FitCost, steps: StepSearch
+        self, space: SearchSpace, run_errors: RunErrors, cost: FitCost, steps: StepSearch
     ) -> None:
         """Take what is searched, what it misses, what that costs, and how steps are searched."""
         self._space = space
-        self._model = model
+        self._run_errors = run_errors
         self._cost = cost
         self._steps = steps
 
@@ -45,19 +45,19 @@ class StartSearch:
             at: All coordinates.
             shares: Of the poses, one after the other.
         """
-        if not self._model.sways:
+        if not self._run_errors.sways:
             return at
         robot, starts = np.split(at, [self._space.count])
         guesses = [np.concatenate([robot, growth * starts]) for growth in GUESS_GROWTHS]
         for share in shares:
-            self._model.look_at(share)
+            self._run_errors.look_at(share)
             ends = [self._suited(guesses[0])]
             for further in guesses[1:]:
                 with suppress(CarosacError):  # one that swings so far may have no finite motion
                     ends.append(self._suited(further))
             at = self._likeliest(ends)
             guesses = [at]
-        self._model.look_at_all()
+        self._run_errors.look_at_all()
         return at
 
     def _likeliest(self, ends: Sequence[Array]) -> Array:
@@ -65,7 +65,7 @@ class StartSearch:
         best = ends[0].copy()
         if len(ends) == 1:
             return best
-        errors = [self._model.at(end) for end in ends]
+        errors = [self._run_errors.at(end) for end in ends]
         noise = self._cost.noise(errors[0])
         for k in range(len(self._space.own)):
             costs = [
@@ -79,11 +79,11 @@ class StartSearch:
     def _suited(self, at: Array) -> Array:
         """Let runs start as suits the robot."""
         least = SETTLED_DECREASE * (len(at) - self._space.count)
-        errors = self._model.at(at)
+        errors = self._run_errors.at(at)
         for _ in range(STARTS_STEPS_MAX):
             noise = self._cost.noise(errors)
-            before = self._cost.of(at, errors, noise)
+            before = self._cost.total(at, errors, noise)
             at, errors = self._steps.restarted(at, errors, noise, GUESS_TRIES)
-            if before - self._cost.of(at, errors, noise) <= least:
+            if before - self._cost.total(at, errors, noise) <= least:
                 break
         return at

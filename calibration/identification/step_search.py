@@ -32,10 +32,10 @@ DAMPING_GROWTH = 10.0  # from one to the next
 class StepSearch:
     """Searches the end of a step."""
 
-    def __init__(self, space: SearchSpace, model: RunErrors, cost: FitCost) -> None:
+    def __init__(self, space: SearchSpace, run_errors: RunErrors, cost: FitCost) -> None:
         """Take what is searched, what it misses, and what that costs."""
         self._space = space
-        self._model = model
+        self._run_errors = run_errors
         self._cost = cost
 
     def search(
@@ -48,7 +48,7 @@ class StepSearch:
         damping: float,
         least: float,
     ) -> Step:
-        """Search a step that lowers the cost by more than the `least` decrease.
+        """Search a Levenberg-Marquardt step that lowers the cost by more than the `least` decrease.
 
         It gives up once steps are damped so much that none promises more; the best that was found
         counts then.
@@ -66,20 +66,20 @@ class StepSearch:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
         """
         space = self._space
-        lowest, here = self._cost.of(at, errors, noise), self._model.correction
+        lowest, here = self._cost.total(at, errors, noise), self._run_errors.correction
         best, there = Step(at=at, errors=errors, cost=lowest), here
         for tried in range(DAMPING_TRIES_MAX):
             step = space.step(at, hessian, gradient, damping)
-            if self._model.sways:
+            if self._run_errors.sways:
                 ways = [space.promise(each * step, hessian, gradient) for each in SWAY_STRETCHES]
                 if tried and max(ways) <= least:
                     break
                 points, trials, good = self._follow(at, step, hessian, gradient, noise)
             else:
                 points = np.array([space.moved(at, stretch * step) for stretch in STRETCHES])
-                trials, good = self._model.trials(points)
+                trials, good = self._run_errors.trials(points)
             costs = [
-                self._cost.of(point, [each[k] for each in trials], noise)
+                self._cost.total(point, [each[k] for each in trials], noise)
                 if all(each[k] for each in good)
                 else np.inf
                 for k, point in enumerate(points)
@@ -91,12 +91,12 @@ class StepSearch:
                     best = replace(
                         found, damping=max(damping / 8.0, 1e-6), decrease=lowest - found.cost
                     )
-                    there = self._model.correction
-                self._model.correction = here
+                    there = self._run_errors.correction
+                self._run_errors.correction = here
                 if best.decrease > least:
                     break
             damping = max(DAMPING_GROWTH * damping, DAMPING_START)
-        self._model.correction = there
+        self._run_errors.correction = there
         return best
 
     def _exactly(self, step: Step, noise: PoseErrorNoise) -> Step:
@@ -105,26 +105,26 @@ class StepSearch:
         Where a long step leads, time steps change the first motion by another amount than where it
         began: the starts follow that too.
         """
-        if not self._model.exact:
+        if not self._run_errors.exact:
             return step
         try:
             end = self._exact_end(step, step.at, noise)
         except CarosacError:  # shorter time steps have no finite motion
             return replace(step, cost=np.inf)
-        there = self._model.correction
+        there = self._run_errors.correction
         if self._space.starts_follow:
             with suppress(CarosacError):  # starts that follow may have none
                 at, _ = self.restarted(end.at, end.errors, noise)
                 followed = self._exact_end(step, at, noise)
                 if followed.cost < end.cost:
                     return followed
-        self._model.correction = there
+        self._run_errors.correction = there
         return end
 
     def _exact_end(self, step: Step, at: Array, noise: PoseErrorNoise) -> Step:
         """Return a step that ends there, with errors of vanishing time steps."""
-        errors = self._model.at(at)
-        return replace(step, at=at, errors=errors, cost=self._cost.of(at, errors, noise))
+        errors = self._run_errors.at(at)
+        return replace(step, at=at, errors=errors, cost=self._cost.total(at, errors, noise))
 
     def _follow(
         self, at: Array, step: Array, hessian: Array, gradient: Array, noise: PoseErrorNoise
@@ -145,7 +145,7 @@ class StepSearch:
         ways = np.array([
             [space.moved(at, stretch * each) for each in steps] for stretch in SWAY_STRETCHES
         ])  # fmt: skip
-        errors, sound = self._model.trials(ways.reshape(-1, len(at)))
+        errors, sound = self._run_errors.trials(ways.reshape(-1, len(at)))
         points = ways[:, 0].copy()
         trials, good = [], []
         for k, (each, exists) in enumerate(zip(errors, sound, strict=True)):
@@ -177,8 +177,8 @@ class StepSearch:
             point, found = points[k], [each[k] for each in trials]
             if self._space.starts_follow:
                 point, found = self.restarted(point, found, noise)
-            ends.append(Step(at=point, errors=found, cost=self._cost.of(point, found, noise)))
-            if not self._model.sways:
+            ends.append(Step(at=point, errors=found, cost=self._cost.total(point, found, noise)))
+            if not self._run_errors.sways:
                 break
         return min(ends, key=lambda end: end.cost, default=None)
 
@@ -204,13 +204,13 @@ class StepSearch:
             All coordinates, and errors there.
         """
         space, judge = self._space, self._cost.judge(noise)
-        jacobians = self._model.jacobians(at, coarse=True, starts=True)
+        jacobians = self._run_errors.jacobians(at, coarse=True, starts=True)
         trial = np.tile(at, (len(tries), 1))
         for k in space.kept:
             slopes = jacobians[k][:, :, space.count :]
             fold = self._cost.run_about(k, at, judge, errors[k], slopes)
             trial[:, space.start_of(k)] += _tries(fold.information, fold.gradient, tries)
-        trials, good = self._model.trials(trial)
+        trials, good = self._run_errors.trials(trial)
         point, found = at.copy(), list(errors)
         for k in space.kept:
             rows = space.start_of(k)

@@ -16,7 +16,7 @@ from benchmarks.calibration_oscillations import (
     robot_with_pulleys,
 )
 from calibration.identification import averages, fit, linearization, procedure, spread
-from calibration.identification.averages import AVERAGES_DECREASE, Averaged
+from calibration.identification.averages import AVERAGES_DECREASE, MeanErrors
 from calibration.identification.doubts import Judge
 from calibration.identification.error_noise import estimate_noise
 from calibration.identification.fit import Fitter
@@ -187,9 +187,9 @@ def test_no_motion_tells_the_unit_of_force(plant, runs):
     unknowns = choose_coordinates(plant, replace(chosen, length_delay=0.0))
     fitter = Fitter(unknowns, runs, chosen)
     at, mass = fitter.space.begin, unknowns.prior.names.index("mass")
-    jacobians = fitter.model.jacobians(at, coarse=False)
+    jacobians = fitter.run_errors.jacobians(at, coarse=False)
     step = 2e-3 * np.eye(len(at))[mass]
-    sides = [fitter.model.at(at + side * step) for side in (-1.0, 1.0)]
+    sides = [fitter.run_errors.at(at + side * step) for side in (-1.0, 1.0)]
     for jacobian, before, after in zip(jacobians, *sides, strict=True):
         expected = (after - before) / (2.0 * step[mass])
         assert np.linalg.norm(jacobian[:, :, mass] - expected) < 3e-3 * np.linalg.norm(expected)
@@ -213,8 +213,8 @@ def near(plant, runs):
     friction = fitter.space.names.index("exit_friction")
     at[friction] = fitter.space.lower[friction] + 0.002
     searched[fitter.space.mass] = False
-    errors = fitter.model.at(at)
-    rough, fine = (fitter.model.slopes(at, searched, refined=r) for r in (1, 2))
+    errors = fitter.run_errors.at(at)
+    rough, fine = (fitter.run_errors.slopes(at, searched, refined=r) for r in (1, 2))
     exact = [(4.0 * b - a) / 3.0 for a, b in zip(rough, fine, strict=True)]
     noise = replace(estimate_noise(errors), sigma=np.full(6, 1e-3))  # as of measured poses
     information, _ = fitter.cost.normal(errors, exact, noise)
@@ -225,8 +225,8 @@ def test_a_linear_function_over_little_uncertainty_has_the_derivatives(near, mon
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
     fitter, at, errors, noise, rough, _, information = near
     hessian = information + fitter.cost.precision
-    monkeypatch.setattr(fitter.model, "hidden", None)
-    averaged = fitter.averages.averaged(at, hessian)
+    monkeypatch.setattr(fitter.run_errors, "hidden", None)
+    averaged = fitter.averages.mean_errors(at, hessian)
     for mean, error, linear in zip(averaged.errors, errors, averaged.linear, strict=True):
         assert np.abs(mean - error).max() < 0.05 * noise.sigma[0]
         assert np.abs(linear.beyond).max() < 0.05 * noise.sigma[0]
@@ -242,7 +242,7 @@ def test_a_linear_function_over_little_uncertainty_has_the_derivatives(near, mon
 def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all is linear
     fitter, at, errors, noise, _, _, information = near
-    hessian, simulated = information + fitter.cost.precision, fitter.model.simulated
+    hessian, simulated = information + fitter.cost.precision, fitter.run_errors.simulated
     rng = np.random.default_rng(6)
 
     def rugged(points, *, refined=1):
@@ -250,12 +250,12 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
         size = 1e-3 * noise.sigma[0] if len(found[0]) > 1 else 0.0
         return [each + size * rng.standard_normal(each.shape) for each in found], good
 
-    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.run_errors, "hidden", None)
     monkeypatch.setattr(fitter.cost, "doubts", None)
     told = []
     for simulate in (simulated, rugged):
-        monkeypatch.setattr(fitter.model, "simulated", simulate)
-        found = fitter.averages.averaged(at, hessian)
+        monkeypatch.setattr(fitter.run_errors, "simulated", simulate)
+        found = fitter.averages.mean_errors(at, hessian)
         told.append(fitter.cost.normal(errors, found.jacobians, noise)[0])
     monkeypatch.setattr(fitter.cost, "linear", found.linear)
     believed = fitter.averages.believed(told[1], errors, found.jacobians, noise)
@@ -271,17 +271,17 @@ def test_what_slopes_tell_by_chance_is_not_believed(near, monkeypatch):
 
 def test_a_robot_that_is_likely_and_does_not_move_is_named(near, monkeypatch):
     fitter, at, *_, information = near
-    simulated = fitter.model.simulated
+    simulated = fitter.run_errors.simulated
 
     def failing(points, *, refined=1):
         found, good = simulated(points, refined=refined)
         good[3] = good[3] & (np.arange(len(good[3])) < 5)
         return found, good
 
-    monkeypatch.setattr(fitter.model, "hidden", None)
-    monkeypatch.setattr(fitter.model, "simulated", failing)
+    monkeypatch.setattr(fitter.run_errors, "hidden", None)
+    monkeypatch.setattr(fitter.run_errors, "simulated", failing)
     with pytest.raises(CarosacError, match="no finite motion of a robot that fits as well"):
-        fitter.averages.averaged(at, information + fitter.cost.precision)
+        fitter.averages.mean_errors(at, information + fitter.cost.precision)
 
 
 def test_hidden_vibrations_are_found_anew_where_a_search_has_left(near):
@@ -303,27 +303,27 @@ def test_steps_are_judged_by_vanishing_time_steps(near, monkeypatch, name):
     move[fitter.space.names.index(name)] = 0.02
 
     def missed():
-        fitter.model.at(at)
-        trials, _ = fitter.model.trials(np.array([at + move]))
-        exact = fitter.model.at(at + move)
+        fitter.run_errors.at(at)
+        trials, _ = fitter.run_errors.trials(np.array([at + move]))
+        exact = fitter.run_errors.at(at + move)
         return sum(((a[0] - b) ** 2).sum() for a, b in zip(trials, exact, strict=True))
 
-    monkeypatch.setattr(fitter.model, "finer", None)
+    monkeypatch.setattr(fitter.run_errors, "finer", None)
     without = missed()
     finer = [one - other for one, other in zip(exact, rough, strict=True)]
-    monkeypatch.setattr(fitter.model, "finer", finer)
+    monkeypatch.setattr(fitter.run_errors, "finer", finer)
     assert missed() < 0.1 * without
 
 
 def test_hidden_vibrations_correct_errors_and_trials_once(near, monkeypatch):
     fitter, at, *_ = near
-    without, (plain, _) = fitter.model.at(at), fitter.model.trials(at[None])
+    without, (plain, _) = fitter.run_errors.at(at), fitter.run_errors.trials(at[None])
     for size in (1e-3, 2e-3):  # found anew, a drift is another and not added
         hidden = [
             replace(HiddenVibrations.none(each), drift=np.full_like(each, size)) for each in without
         ]
-        monkeypatch.setattr(fitter.model, "hidden", hidden)
-        found, (trials, _) = fitter.model.at(at), fitter.model.trials(at[None])
+        monkeypatch.setattr(fitter.run_errors, "hidden", hidden)
+        found, (trials, _) = fitter.run_errors.at(at), fitter.run_errors.trials(at[None])
         for old, new, tried, trial in zip(without, found, plain, trials, strict=True):
             assert new - old == pytest.approx(size) and trial - tried == pytest.approx(size)
 
@@ -337,10 +337,12 @@ def test_hidden_vibrations_that_fit_worse_are_not_taken(near, monkeypatch):
     )
     sigma = np.ones(fitter.space.count)
     for before, anew, taken in ((calm, wrong, calm), (wrong, calm, calm), (None, wrong, wrong)):
-        monkeypatch.setattr(fitter.model, "hidden", before)
-        monkeypatch.setattr(fitter.model, "hidden_vibrations", lambda at, sigma, anew=anew: anew)
+        monkeypatch.setattr(fitter.run_errors, "hidden", before)
+        monkeypatch.setattr(
+            fitter.run_errors, "hidden_vibrations", lambda at, sigma, anew=anew: anew
+        )
         assert fitter.averages._likelier_vibrations(at, sigma) is taken
-        assert fitter.model.hidden is before
+        assert fitter.run_errors.hidden is before
 
 
 def test_of_two_guesses_each_start_takes_the_one_that_suits_it(near):
@@ -404,7 +406,7 @@ def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
 
     def doubt(columns):
         monkeypatch.setattr(fitter.cost, "doubts", None)
-        monkeypatch.setattr(fitter.model, "hidden", None)
+        monkeypatch.setattr(fitter.run_errors, "hidden", None)
         linear = [
             replace(Linearization.nowhere(error), beyond=each)
             for error, each in zip(errors, columns, strict=True)
@@ -429,7 +431,7 @@ def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
     gradient = gradient + fitter.cost._known_about(at).gradient
     step = 1e-3 * np.linalg.solve(doubted + fitter.cost.precision, gradient)
     behind, ahead = (
-        fitter.cost.of(
+        fitter.cost.total(
             at + side * step,
             [
                 error + side * jacobian @ step[rows]
@@ -445,12 +447,12 @@ def test_what_linear_functions_leave_out_is_not_told(near, monkeypatch):
 def test_a_lost_start_is_found_again(plant, runs):
     fitter = fitter_of(plant, runs)
     at = fitter.start_search._suited(fitter.space.begin)
-    errors = fitter.model.at(at)
+    errors = fitter.run_errors.at(at)
     noise = estimate_noise(errors)
     lost = at.copy()
     own = fitter.space.start_of(4)
     lost[own] += [0.0, -3.0, 1.0, 2.0, 0.0, 1.0]
-    found, found_errors = fitter._found_again(lost, fitter.model.at(lost), noise)
+    found, found_errors = fitter._found_again(lost, fitter.run_errors.at(lost), noise)
     assert noise.cost(found_errors[4]) < 1.1 * noise.cost(errors[4])
     others = np.setdiff1d(np.arange(len(at)), own)
     assert (found[others] == lost[others]).all()
@@ -460,13 +462,13 @@ def test_near_the_robot_a_start_that_is_lost_a_little_is_found_again(plant, runs
     """A second solution that costs a few times as much would bias the robot."""
     fitter = fitter_of(plant, runs)
     at = fitter.start_search._suited(fitter.space.begin)
-    noise = estimate_noise(fitter.model.at(at))
+    noise = estimate_noise(fitter.run_errors.at(at))
     own = fitter.space.start_of(4)
 
     def off(share):
         point = at.copy()
         point[own] += share * np.array([0.0, -3.0, 1.0, 2.0, 0.0, 1.0])
-        errors = fitter.model.at(point)
+        errors = fitter.run_errors.at(point)
         costs = [noise.cost(each) / each.size for each in errors]
         return point, errors, costs[4] / np.median(costs)
 
@@ -499,7 +501,7 @@ def test_what_is_held_out_costs_what_its_best_start_does(near):
 def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
     fitter = fitter_of(plant, runs[:2])
     at = fitter.space.begin
-    errors, slopes = fitter.model.at(at), fitter.model.jacobians(at, coarse=True)
+    errors, slopes = fitter.run_errors.at(at), fitter.run_errors.jacobians(at, coarse=True)
     short, judge = (errors[0][:1], errors[1][:4]), Judge(noise=estimate_noise(errors))
     folds = fitter.cost.folds(at, short, (slopes[0][:1], slopes[1][:4]), judge)
     assert len(folds.parts) == 1 + 4
@@ -507,8 +509,8 @@ def test_a_recording_of_one_pose_is_held_out_too(plant, runs):
 
 def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch):
     fitter = fitter_of(plant, runs)
-    at, simulated = fitter.space.begin, fitter.model.simulated
-    errors = fitter.model.at(at)
+    at, simulated = fitter.space.begin, fitter.run_errors.simulated
+    errors = fitter.run_errors.at(at)
 
     def wild(points, *, refined=1):
         found, good = simulated(points, refined=refined)
@@ -517,16 +519,16 @@ def test_a_run_that_no_time_step_follows_tells_nothing(plant, runs, monkeypatch)
 
     fitter.averages.leave_out_unfollowed(at, errors)
     assert fitter.space.kept == list(range(len(runs)))
-    monkeypatch.setattr(fitter.model, "simulated", wild)
+    monkeypatch.setattr(fitter.run_errors, "simulated", wild)
     fitter.averages.leave_out_unfollowed(at, errors)
     assert fitter.space.kept == [k for k in range(len(runs)) if k != 2]
-    jacobians = fitter.model.jacobians(at, coarse=True)
+    jacobians = fitter.run_errors.jacobians(at, coarse=True)
     assert not jacobians[2].any() and all(jacobians[k].any() for k in fitter.space.kept)
 
 
 def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeypatch):
     fitter, at, _, noise, _, _, information = near
-    simulated = fitter.model.simulated
+    simulated = fitter.run_errors.simulated
 
     def bent(points, *, refined=1):
         found, good = simulated(points, refined=refined)
@@ -535,10 +537,10 @@ def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeyp
         return found, good
 
     monkeypatch.setattr(linearization, "AXIS_MAX", 1e-3)  # so near all else is linear
-    monkeypatch.setattr(fitter.model, "hidden", None)
-    monkeypatch.setattr(fitter.model, "simulated", bent)
+    monkeypatch.setattr(fitter.run_errors, "hidden", None)
+    monkeypatch.setattr(fitter.run_errors, "simulated", bent)
     monkeypatch.setattr(fitter.cost, "noise", lambda errors: noise)
-    rises = fitter.averages.averaged(at, information + fitter.cost.precision).rises
+    rises = fitter.averages.mean_errors(at, information + fitter.cost.precision).rises
     bends = np.arange(len(rises)) == 2
     assert (np.abs(rises[~bends]) < 1.0).all()
     assert rises[2] > 5.0
@@ -546,7 +548,7 @@ def test_means_over_what_is_uncertain_cost_more_where_motion_bends(near, monkeyp
 
 def test_chance_that_a_start_makes_up_for_takes_no_information(near, monkeypatch):
     fitter, _, errors, noise, _, exact, _ = near
-    monkeypatch.setattr(fitter.model, "hidden", None)
+    monkeypatch.setattr(fitter.run_errors, "hidden", None)
     monkeypatch.setattr(fitter.cost, "doubts", None)
     searched = fitter.space.searched.copy()
     searched[fitter.space.mass] = False
@@ -835,15 +837,15 @@ def test_steps_that_jump_by_chance_average_out(near, monkeypatch):
         for each, rows in zip(errors, fitter.space.varied(searched), strict=True)
     ]
 
-    def averaged(point, _):
+    def mean_errors(point, _):
         away = point - at + jump(rng.standard_normal(fitter.space.count))
         found = [
             each + jacobian @ away[own]
             for each, jacobian, own in zip(white, exact, fitter.space.own, strict=True)
         ]
-        return Averaged(errors=found, jacobians=exact, linear=linear, rises=np.zeros(len(found)))
+        return MeanErrors(errors=found, jacobians=exact, linear=linear, rises=np.zeros(len(found)))
 
-    monkeypatch.setattr(fitter.averages, "averaged", averaged)
+    monkeypatch.setattr(fitter.averages, "mean_errors", mean_errors)
     monkeypatch.setattr(fitter.cost, "_known_about", lambda point: Quadratic(
         cost=0.0, gradient=fitter.space.prior @ (point - at), information=fitter.space.prior
     ))  # fmt: skip
@@ -870,8 +872,8 @@ def test_a_search_ends_where_those_lead_that_are_nearly_linear(near, monkeypatch
     fitter.space.fill_alike(exact)
     still = [HiddenVibrations.none(each) for each in errors]
     rugged, own = 3, slice(fitter.space.count)
-    monkeypatch.setattr(fitter.averages, "_likelier_vibrations", lambda at, sigma: still)
     for part, name, value in (
+        (fitter.run_errors, "hidden_vibrations", lambda at, sigma: still),
         (fitter.cost, "linear", None), (fitter.cost, "doubts", None),
         (fitter.cost, "noise", lambda errors: noise),
         (fitter.space, "searched", fitter.space.searched.copy()),
@@ -893,13 +895,13 @@ def test_a_search_ends_where_those_lead_that_are_nearly_linear(near, monkeypatch
         for error, rows in zip(errors, varied, strict=True)
     ]
 
-    def averaged(point, _):
+    def mean_errors(point, _):
         away = [(point - at)[rows] for rows in fitter.space.own]
         away[rugged][own] += off
         found = [slopes @ move for slopes, move in zip(exact, away, strict=True)]
-        return Averaged(errors=found, jacobians=exact, linear=linear, rises=rises)
+        return MeanErrors(errors=found, jacobians=exact, linear=linear, rises=rises)
 
-    monkeypatch.setattr(fitter.averages, "averaged", averaged)
+    monkeypatch.setattr(fitter.averages, "mean_errors", mean_errors)
     information, _ = fitter.cost.normal([np.zeros_like(each) for each in errors], exact, noise)
     begin, hessian = at.copy(), information + fitter.cost.precision
     begin[own] += 0.5
@@ -908,6 +910,7 @@ def test_a_search_ends_where_those_lead_that_are_nearly_linear(near, monkeypatch
     assert found.at[own] == pytest.approx(at[own], abs=1e-3)
     fitter.space.followed[rugged], rises[:6] = True, 1e3  # most runs are
     assert fitter.averages.search(begin, hessian, 0, lambda *_: None) is None
+    assert fitter.cost.linear is None
     assert fitter.space.kept == followed
 
 
@@ -917,15 +920,15 @@ def test_where_averages_lead_nowhere_derivatives_go_on(near, monkeypatch):
     few = replace(fitter._settings, iterations=fit.ROUGH_STEPS_MAX + 1)
     for part, name, value in (
         (fitter.cost, "linear", None), (fitter.cost, "doubts", None),
-        (fitter.model, "hidden", None), (fitter.model, "finer", None),
-        (fitter.model, "hidden_vibrations", lambda at, sigma: still), (fitter, "_settings", few),
-        (fitter.averages, "search", lambda *_: None),
+        (fitter.run_errors, "hidden", None), (fitter.run_errors, "finer", None),
+        (fitter.run_errors, "hidden_vibrations", lambda at, sigma: still),
+        (fitter, "_settings", few), (fitter.averages, "search", lambda *_: None),
     ):  # fmt: skip
         monkeypatch.setattr(part, name, value)
     found = fitter._settle(at, None, lambda *_: None)
     assert found.count == fit.ROUGH_STEPS_MAX + 1 and fitter.cost.linear is None
     noise = fitter.cost.noise(found.errors)
-    assert fitter.cost.of(found.at, found.errors, noise) < fitter.cost.of(at, errors, noise)
+    assert fitter.cost.total(found.at, found.errors, noise) < fitter.cost.total(at, errors, noise)
 
 
 def test_data_leave_nothing_more_open_than_it_was_before(near):
