@@ -14,6 +14,7 @@ from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.motion.winch import Encoders, WinchSettings
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
@@ -174,6 +175,16 @@ class SimPlant:
     def acceleration(self) -> Array:
         """Return linear [m/s^2], then angular [rad/s^2] acceleration of the origin in W, (B, 6)."""
         return self._state.acceleration
+
+    def swivel_angles(self) -> Array:
+        """Return how far pulleys have swivelled, by how cables leave them [rad], shape (B, n)."""
+        points = self.cable_points()
+        leaving = points[:, :, 1] - points[:, :, 0]
+        robots = self.simulator.robots
+        if len(robots) == 1:
+            return swivel_angle(robots[0], leaving)
+        pairs = zip(robots, leaving, strict=True)
+        return np.concatenate([swivel_angle(robot, each[None]) for robot, each in pairs])
 
     def cable_points(self) -> Array:
         """Return points on the cables in W [m], shape (B, n, segments + 1, 3); for pictures."""

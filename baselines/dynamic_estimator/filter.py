@@ -2,22 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
-from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
+from baselines.dynamic_estimator.measurement_models import (
+    ImuMean,
+    LinearisedMeasurement,
+    MeasurementModels,
+)
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
+from baselines.dynamic_estimator.orientation_measurement import (
+    measured_attitude,
+    measured_inclination,
+)
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.swivel_measurement import measured_swivels
 from baselines.dynamic_estimator.tension_measurement import measured_tension
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
 
 # By which twists change while a pose is late.
 LATE_POSE_ACCELERATION = Scaled(2.0, "m/s^2")
 LATE_POSE_ANGULAR_ACCELERATION = Scaled(5.0, "rad/s^2")
+ReadingModel = Callable[
+    [Robot, DynamicFilterState, Array, DynamicEstimatorSettings], LinearisedMeasurement
+]
+_MODELS: dict[str, ReadingModel] = {
+    "tension": measured_tension,
+    "swivel_angle": measured_swivels,
+    "attitude": measured_attitude,
+    "inclination": measured_inclination,
+}
+READING_CHANNELS = tuple(_MODELS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,11 +133,17 @@ class DynamicFilter:
         own = measurement.by @ cross + measurement.noise + np.diag(swept**2)
         return self._corrected(state, cross, own, measurement.residual)
 
-    def tension(
-        self, state: DynamicFilterState, tension: Array
+    def reading(
+        self, state: DynamicFilterState, channel: str, value: Array
     ) -> tuple[DynamicFilterState, InnovationTally]:
-        """Correct by tensions (n,) measured at the time of a state [N]."""
-        measurement = measured_tension(self._model.robot, state, tension, self._settings)
+        """Correct by a reading at the time of a state.
+
+        Args:
+            state: The estimate.
+            channel: One of `carosac_toolkit.loop.values.Measurement`, of `READING_CHANNELS`.
+            value: As there, without its batch.
+        """
+        measurement = _MODELS[channel](self._model.robot, state, value, self._settings)
         cross = state.covariance @ measurement.by.T
         own = measurement.by @ cross + measurement.noise
         return self._corrected(state, cross, own, measurement.residual)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.sway_basis import SwayBasis
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import wrapped_angle
 
 
 class Errors:
@@ -26,12 +27,25 @@ class Errors:
         bias: What the length readings say too much, n of them [m].
         imu: Biases of gyroscope [rad/s] and accelerometer [m/s^2].
         cells: Biases of the load cells, n of them or none [N].
+        swivels: Zeros of the swivel angles, n of them or none [rad].
+        mounting: Rotation vector of an AHRS or inclinometer in its own frame, 3 or none [rad].
+        heading: Of its level frame in W, one or none [rad].
         moving: How many errors change the motion: all before `imu`.
         size: All of them.
     """
 
-    def __init__(self, n: int, m: int, *, cells: bool = False) -> None:
-        """Lay out the errors for n cables and m ways to sway, with load cells or without."""
+    def __init__(
+        self, n: int, m: int, *, cells: bool = False, swivels: bool = False, attitude: bool = False
+    ) -> None:
+        """Lay out the errors for n cables and m ways to sway.
+
+        Args:
+            n: Number of cables.
+            m: Number of ways to sway.
+            cells: Whether there are load cells.
+            swivels: Whether there are swivel angles.
+            attitude: Whether there is an AHRS or an inclinometer.
+        """
         self.m, self.n = m, n
         self.soft = slice(0, m - max(0, 6 - n))
         self.sway = slice(0, m)
@@ -44,7 +58,13 @@ class Errors:
         self.moving = 2 * m + 6 + n
         self.imu = slice(self.moving, self.moving + 6)
         self.cells = slice(self.moving + 6, self.moving + 6 + (n if cells else 0))
-        self.size = self.cells.stop
+        after = self.cells.stop
+        self.swivels = slice(after, after + (n if swivels else 0))
+        after = self.swivels.stop
+        self.mounting = slice(after, after + (3 if attitude else 0))
+        after = self.mounting.stop
+        self.heading = slice(after, after + (1 if attitude else 0))
+        self.size = self.heading.stop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +86,11 @@ class DynamicFilterState:
         sway: The coordinates that it refers to.
         tension: At the platform [N], shape (n,).
         exit_tension: Tension vectors at the exits [N], shape (n, 3).
+        swivel_offset: What swivel angles say too much [rad], shape (n,), or (0,) where they are not
+            used.
+        mounting: Rotation from the frame of an AHRS or inclinometer to P, shape (3, 3); None where
+            none is used.
+        heading: Of its level frame in W [rad].
         bristles: Bend of the bristles of dry friction, as `Motions` has it, shape (n,); None:
             unknown, where nothing has moved yet.
     """
@@ -84,13 +109,19 @@ class DynamicFilterState:
     sway: SwayBasis
     tension: Array
     exit_tension: Array
+    swivel_offset: Array = field(default_factory=lambda: np.zeros(0))
+    mounting: Array | None = None
+    heading: float = 0.0
     bristles: NDArray[Any] | None = None
 
     @property
     def errors(self) -> Errors:
         """The order of its errors."""
         n, m = self.sway.slaved.shape[1], self.sway.ways.shape[1]
-        return Errors(n, m, cells=len(self.cell_bias) > 0)
+        return Errors(
+            n, m, cells=len(self.cell_bias) > 0, swivels=len(self.swivel_offset) > 0,
+            attitude=self.mounting is not None,
+        )  # fmt: skip
 
     def pose_by(self) -> Array:
         """Return the pose error per error, shape (6, size); there is no other."""
@@ -111,6 +142,10 @@ class DynamicFilterState:
 
         where = self.errors
         moved = self.pose_by() @ error
+        mounting, heading = self.mounting, self.heading
+        if mounting is not None:
+            mounting = mounting @ pinocchio.exp3(np.ascontiguousarray(error[where.mounting]))
+            heading = float(wrapped_angle(heading + error[where.heading])[0])
         return replace(
             self,
             position=self.position + moved[:3],
@@ -122,6 +157,9 @@ class DynamicFilterState:
             length_bias=self.length_bias + error[where.bias],
             imu_bias=self.imu_bias + error[where.imu],
             cell_bias=self.cell_bias + error[where.cells],
+            swivel_offset=self.swivel_offset + error[where.swivels],
+            mounting=mounting,
+            heading=heading,
             covariance=0.5 * (covariance + covariance.T),
         )
 

@@ -72,7 +72,10 @@ class DynamicModel:
         """
         self.robot = robot
         ways = count_ways(robot) if soft else max(0, 6 - robot.n)
-        self.errors = Errors(robot.n, ways, cells=settings.load_cells)
+        self.errors = Errors(
+            robot.n, ways, cells=settings.load_cells, swivels=settings.swivels,
+            attitude=settings.attitude,
+        )  # fmt: skip
         where, ratios = self.errors, Scales(robot).ratios
         steps = np.zeros(where.moving)
         steps[where.sway] = SWAY_STEP.of(ratios) * np.sqrt(robot.mass)

@@ -76,6 +76,8 @@ class RestStart:
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
             cell_bias=np.zeros(n if self._settings.load_cells else 0),
+            swivel_offset=np.zeros(n if self._settings.swivels else 0),
+            mounting=np.eye(3) if self._settings.attitude else None,
             covariance=self._covariance(alone, sway, self._derivatives(rests), speed),
             sway=sway,
             tension=alone.tension[0],
@@ -134,6 +136,8 @@ class RestStart:
         spread[where.bias] = s.bias_deviation
         spread[where.imu] = np.repeat([s.angular_rate_bias, s.specific_force_bias], 3)
         spread[where.cells] = s.load_cell_bias
+        spread[where.swivels] = s.swivel_offset
+        spread[where.mounting], spread[where.heading] = s.attitude_mounting, s.attitude_heading
         carry = np.eye(where.size)
         free = np.array(by)
         free[:, 4:] -= sway.slaved

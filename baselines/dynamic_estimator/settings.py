@@ -75,6 +75,16 @@ class DynamicEstimatorSettings:
         load_cell_bias: Constant, per cable [N].
         tension_vibration: Of the tensions, by vibrations of the stretch, which the model does not
             know; over the weight of the platform.
+        swivels: Whether measured swivel angles correct the filter, where there are any; in a study,
+            on suites with ``swivel``.
+        swivel_noise: Of each swivel angle, swings of the cable included [rad].
+        swivel_offset: Constant error of their zeros, per pulley [rad].
+        attitude: Whether an AHRS or an inclinometer corrects the filter, where there is one; in a
+            study, on suites with ``attitude`` or ``inclination``. Of both the AHRS counts.
+        attitude_noise: Of each of its readings, per axis [rad]. One that takes the specific force
+            for gravity errs by the acceleration of the platform over gravity, in radians.
+        attitude_mounting: Its constant turn on the platform, per axis [rad].
+        attitude_heading: Of its level frame in W [rad]; the default knows nothing of it.
         position_noise: Of measured poses, per axis [m].
         rotation_noise: Of measured poses, per axis [rad].
         gate: Normalised innovation squared, over its degrees of freedom, beyond which a
@@ -118,6 +128,13 @@ class DynamicEstimatorSettings:
     load_cell_noise: float = Scaled(0.5, "N", most=0.5)
     load_cell_bias: float = Scaled(1.0, "N", most=1.0)
     tension_vibration: float = 0.05
+    swivels: bool = False
+    swivel_noise: float = 3.5e-3
+    swivel_offset: float = 3.5e-3
+    attitude: bool = False
+    attitude_noise: float = 5e-3
+    attitude_mounting: float = 0.02
+    attitude_heading: float = math.pi
     position_noise: float = Scaled(1e-3, "m", most=1e-3)
     rotation_noise: float = Scaled(0.5e-3, "rad")
     gate: float = 6.0
@@ -130,15 +147,16 @@ class DynamicEstimatorSettings:
         """Refuse numbers that make no sense."""
         for name in _MOUNT_FIELDS:
             frozen_array(name, getattr(self, name), (3,))
-        if not isinstance(self.load_cells, bool):
-            raise InvalidField("load_cells", repr(self.load_cells), "True or False")
+        for name in _SENSOR_FIELDS:
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidField(name, repr(getattr(self, name)), "True or False")
         if self.delay is not None:
             check_not_negative("delay", self.delay, "s")
         if self.length_bias is not None:
             check_not_negative("length_bias", self.length_bias)
         if self.stretch_noise is not None:
             check_positive("stretch_noise", self.stretch_noise)
-        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, *_OPTIONAL_FIELDS, "load_cells")
+        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, *_OPTIONAL_FIELDS, *_SENSOR_FIELDS)
         others = [item.name for item in fields(self) if item.name not in apart]
         check_fields(self, positive=_POSITIVE_FIELDS, not_negative=others)
 
@@ -196,9 +214,10 @@ def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEst
 
 
 _OPTIONAL_FIELDS = ("length_bias", "stretch_noise", "delay")
+_SENSOR_FIELDS = ("load_cells", "swivels", "attitude")
 _MOUNT_FIELDS = ("imu_position", "imu_rotation")
 _POSITIVE_FIELDS = (
-    "stretch_vibration", "load_cell_noise", "wind_time", "start_speed", "angular_rate_noise",
-    "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
-    "reading_jump", "time_step", "gap_max",
+    "stretch_vibration", "load_cell_noise", "swivel_noise", "attitude_noise", "wind_time",
+    "start_speed", "angular_rate_noise", "specific_force_noise", "position_noise", "rotation_noise",
+    "rate_noise", "gate", "reading_jump", "time_step", "gap_max",
 )  # fmt: skip

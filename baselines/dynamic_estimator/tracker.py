@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.filter import DynamicFilter, InnovationTally
+from baselines.dynamic_estimator.filter import READING_CHANNELS, DynamicFilter, InnovationTally
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
@@ -24,8 +24,9 @@ from baselines.length_readings import (
 )
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
-from carosac_toolkit.loop.values import Belief, Measurement
+from carosac_toolkit.loop.values import Belief, Measurement, Stamped
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.recordings.recording import CABLE_CHANNELS
 from carosac_toolkit.robot.robot import Robot
 
 STRAIGHT_TIME_STEPS = 2.0  # over which lengths may be taken as straight
@@ -54,13 +55,16 @@ class TimedPose(NamedTuple):
     used: bool = False
 
 
-class TimedTension(NamedTuple):
-    """Measured tensions.
+class TimedReading(NamedTuple):
+    """A reading of load cells, swivel encoders, an AHRS or an inclinometer.
 
     Attributes:
+        channel: One of `READING_CHANNELS`.
         time: [s].
-        value: At the platform [N], shape (n,).
+        value: As `Measurement` has it, without its batch.
     """
+
+    channel: str
 
     time: float
     value: Array
@@ -77,7 +81,8 @@ class Track:
         waiting: IMU samples that are later than the filter: time [s], angular rate [rad/s] and
             specific force [m/s^2], shape (K, 7).
         poses: Measured poses that are later than the filter, the last one in any case.
-        tensions: Measured tensions that are later than the filter, the last one in any case.
+        signals: Readings of the other sensors that are later than the filter, the last one of each
+            in any case.
         tally: What measurements said against the filter since the last belief.
         restarts: How often the platform was hung anew.
         stale: How often lengths were held for want of readings, and doubted the more, the faster
@@ -89,7 +94,7 @@ class Track:
     readings: LengthReadings
     waiting: Array
     poses: tuple[TimedPose, ...]
-    tensions: tuple[TimedTension, ...]
+    signals: tuple[TimedReading, ...]
     tally: InnovationTally
     restarts: int
     stale: int = 0
@@ -130,7 +135,7 @@ class Tracker:
             state = state.slipped(readings.slid, self._tolerances.slip_deviation)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            poses=(), tensions=(), tally=InnovationTally(), restarts=0,
+            poses=(), signals=(), tally=InnovationTally(), restarts=0,
         )  # fmt: skip
 
     def moving(self, track: Track, measurement: Measurement, row: int, first: Belief) -> Track:
@@ -159,7 +164,7 @@ class Tracker:
         track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
                         poses=_known_poses(track.poses, measurement, row),
-                        tensions=self._known_tensions(track, measurement, row))  # fmt: skip
+                        signals=self._known_signals(track, measurement, row))  # fmt: skip
         if readings.slipped is not None:
             track = replace(
                 track, readings=replace(readings, slipped=None),
@@ -225,20 +230,21 @@ class Tracker:
             track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
         )
         due = [p for p in track.poses if not p.used and p.time <= known + READING_INTERVAL_MIN_S]
-        cells = {
-            t.time: t.value
-            for t in track.tensions
-            if state.time + READING_INTERVAL_MIN_S <= t.time <= known + READING_INTERVAL_MIN_S
-        }
-        stops = sorted({*groups, *cells, *(p.time for p in due)})
+        heard = [
+            each
+            for each in track.signals
+            if state.time + READING_INTERVAL_MIN_S <= each.time <= known + READING_INTERVAL_MIN_S
+        ]
+        stops = sorted({*groups, *(each.time for each in (*heard, *due))})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:
             state, added = self._to(state, track.readings, stop, groups.get(stop))
             tally = tally + added
-            if stop in cells and state.time == stop:
-                state, added = self._filter.tension(state, cells[stop])
-                tally = tally + added
+            for each in heard:
+                if each.time == stop == state.time:
+                    state, added = self._filter.reading(state, each.channel, each.value)
+                    tally = tally + added
             for pose in due:
                 if pose.time == stop:
                     state, added = self._posed(state, pose)
@@ -248,20 +254,36 @@ class Tracker:
         )
         return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
 
-    def _known_tensions(
+    def _known_signals(
         self, track: Track, measurement: Measurement, row: int
-    ) -> tuple[TimedTension, ...]:
-        """Return the tensions that are later than the filter, with the new ones if used."""
+    ) -> tuple[TimedReading, ...]:
+        """Return the readings of other sensors that are later than the filter, with the new ones.
+
+        Load cells and swivel encoders share the clock of the lengths, sensors on the platform that
+        of the IMU.
+        """
         assert track.state is not None
-        stamped = measurement.tension
-        if stamped is None or not self._settings.load_cells:
-            return ()
-        kept = tuple(t for t in track.tensions[:-1] if t.time > track.state.time)
-        kept += track.tensions[-1:]
-        when = float(stamped.time[row]) + self._delay
-        if kept and when <= kept[-1].time + READING_INTERVAL_MIN_S:
-            return kept
-        return (*kept, TimedTension(when, stamped.value[row]))
+        found: list[TimedReading] = []
+        for channel in self._channels(measurement):
+            known = [each for each in track.signals if each.channel == channel]
+            kept = [each for each in known[:-1] if each.time > track.state.time] + known[-1:]
+            stamped: Stamped | None = getattr(measurement, channel)
+            if stamped is not None:
+                late = self._delay if channel in CABLE_CHANNELS else 0.0
+                when = float(stamped.time[row]) + late
+                if not kept or when > kept[-1].time + READING_INTERVAL_MIN_S:
+                    kept.append(TimedReading(channel, when, stamped.value[row]))
+            found += kept
+        return tuple(found)
+
+    def _channels(self, measurement: Measurement) -> list[str]:
+        """Return the channels of other sensors that are used; of AHRS and inclinometer one."""
+        s = self._settings
+        used = {
+            "tension": s.load_cells, "swivel_angle": s.swivels, "attitude": s.attitude,
+            "inclination": s.attitude and measurement.attitude is None,
+        }  # fmt: skip
+        return [channel for channel in READING_CHANNELS if used[channel]]
 
     def _posed(
         self, state: DynamicFilterState, pose: TimedPose

@@ -17,6 +17,7 @@ from calibration.rests.readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.rests.unknowns import RestUnknowns
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import roll_and_pitch, wrapped_angle
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest import statics
@@ -140,7 +141,7 @@ class RestModel:
             parts.append(self._rotation_residual(rest.rotation, errors.heading, errors.mounting))
         if read.swivel_angle is not None:
             predicted = swivel_angle(robot, -rest.exit_tension) + errors.swivel_offset
-            off = wrapped(read.swivel_angle - predicted)[:, self.pulleys]
+            off = wrapped_angle(read.swivel_angle - predicted)[:, self.pulleys]
             parts.append(off / self._settings.swivel_noise)
         return np.concatenate(parts, axis=1)
 
@@ -159,7 +160,7 @@ class RestModel:
             turn = predicted.swapaxes(1, 2) @ self.readings.attitude
             off = Rotation.from_matrix(turn).as_rotvec()
         else:
-            off = wrapped(np.asarray(self.readings.inclination) - roll_and_pitch(predicted))
+            off = wrapped_angle(np.asarray(self.readings.inclination) - roll_and_pitch(predicted))
         return np.asarray(off / self._settings.attitude_noise)
 
     def _length_step(self, length: Array) -> Array:
@@ -236,18 +237,6 @@ class RestModel:
             for robot, moved, found in self._sides(place, value, length, rest)
         )
         return np.asarray((after - before) / (2.0 * self._parameter_step(place)))
-
-
-def roll_and_pitch(rotation: Array) -> Array:
-    """Return roll and pitch [rad] of R = R_z(yaw) R_y(pitch) R_x(roll), shape (B, 2)."""
-    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
-    pitch = -np.arcsin(np.clip(rotation[:, 2, 0], -1.0, 1.0))
-    return np.stack([roll, pitch], axis=1)
-
-
-def wrapped(angle: Array) -> Array:
-    """Return angles [rad] within a half turn about 0."""
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _rows(rest: statics.Equilibrium, rows: Array) -> statics.Equilibrium:

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calibration.rests.model import wrapped
 from calibration.rests.readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.rests.unknowns import find_unknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.rotations import from_matrix, wrapped_angle
 from carosac_toolkit.loop.values import Pose, Stamped
 from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest import statics
@@ -102,7 +101,7 @@ def draw_rest_scene(
     drawn[scales] = rng.uniform(-made.tension_scale, made.tension_scale, len(scales))
     drawn[unknowns.prior.rows("length_offset")] = 0.0
     turned = unknowns.prior.rows("heading")
-    drawn[turned] = wrapped(drawn[turned])
+    drawn[turned] = wrapped_angle(drawn[turned])
     plant = with_values(robot, unknowns.robot_names, drawn[: len(unknowns.robot_names)])
     errors = unknowns.sensors_at(drawn)
     rest = _rests(plant, made, rng)

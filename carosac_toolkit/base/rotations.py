@@ -1,4 +1,4 @@
-"""Unit quaternions, order w x y z, as arrays of shape (B, 4); matrices of cross products."""
+"""Unit quaternions, order w x y z, as arrays of shape (B, 4); angles, and cross products."""
 
 from __future__ import annotations
 
@@ -65,6 +65,18 @@ def best_rotation(points: Array, towards: Array, *, mirror: bool = False) -> Arr
     left, _, right = np.linalg.svd(towards.T @ points)
     side = np.linalg.det(left @ right) * (-1.0 if mirror else 1.0)
     return np.asarray(left @ np.diag([1.0, 1.0, side]) @ right)
+
+
+def roll_and_pitch(rotation: Array) -> Array:
+    """Return roll and pitch [rad] of R = R_z(yaw) R_y(pitch) R_x(roll), shape (B, 2)."""
+    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
+    pitch = -np.arcsin(np.clip(rotation[:, 2, 0], -1.0, 1.0))
+    return np.stack([roll, pitch], axis=1)
+
+
+def wrapped_angle(angle: Array) -> Array:
+    """Return angles [rad] within a half turn about 0."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def left_jacobian(vector: Array) -> Array:

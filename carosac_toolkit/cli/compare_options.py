@@ -34,8 +34,8 @@ class Options(CommonOptions):
     """With --suite: folder of results of the same suite to compare with in pairs, such as
     benchmarks/reference."""
     sensors: tuple[str, ...] = ()
-    """Sensors of the driver: `lengths`, `lengths+imu`, `lengths+pose`, `lengths+imu+pose`,
-    `lengths+tension` or `lengths+imu+tension`; by default lengths+imu."""
+    """Sensors of the driver: `lengths`, then any of +imu, +pose, +tension, +swivel, +attitude and
+    +inclination, in this order; by default lengths+imu."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
         DEFAULT_TRAJECTORIES
     )

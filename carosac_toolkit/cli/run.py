@@ -63,7 +63,9 @@ def run(options: Options) -> CommandResult:
     )
     period, seed = period_of_rate(options.rate), options.seed
     controller = build_controller(options.controller, robot, chosen, period, seed=seed)
-    estimator = build_estimator(options.estimator, robot, chosen, seed=seed)
+    estimator = build_estimator(
+        options.estimator, robot, chosen, sensors=options.sensors, seed=seed
+    )
     path = make_path(robot, options)
     guard = make_guard(robot, options, chosen["driver_settings"], float(controller.period))
     rehearse(robot, estimator, controller, path, suite=options.sensors)

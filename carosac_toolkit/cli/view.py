@@ -261,7 +261,9 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     )
     period = period_of_rate(options.rate)
     controller = build_controller(options.controller, robot, chosen, period, seed=options.seed)
-    estimator = build_estimator(options.estimator, robot, chosen, seed=options.seed)
+    estimator = build_estimator(
+        options.estimator, robot, chosen, sensors=options.sensors, seed=options.seed
+    )
     driver = _driver(options, robot, chosen["driver_settings"], float(controller.period))
     speed, acceleration = default_limits(robot)
     limits = {

@@ -60,6 +60,19 @@ class Plant(Protocol):
 
 
 @runtime_checkable
+class Swivelling(Protocol):
+    """A plant that knows how far its pulleys have swivelled."""
+
+    def swivel_angles(self) -> Array:
+        """Return the angles of the pulleys about their swivel axes.
+
+        Returns:
+            As `carosac_toolkit.physics.cable.swivel.swivel_angle`, shape (B, n).
+        """
+        ...
+
+
+@runtime_checkable
 class Shaped(Protocol):
     """A plant that knows more of the shapes of its cables than their lengths and the pose say."""
 

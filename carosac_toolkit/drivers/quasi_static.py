@@ -15,6 +15,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.motion.winch import WinchBatch, WinchSettings
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.nearest import rest_at
@@ -25,7 +26,7 @@ from carosac_toolkit.robot.robot import Robot
 class QuasiStaticSettings(SimulatedSettings):
     """Settings of `QuasiStaticDriver`, those of every simulated driver.
 
-    The suite is ``lengths`` or ``lengths+pose``; without inertia there is no IMU.
+    Any suite but those with an IMU, as there is no inertia.
     """
 
     inertial: ClassVar[bool] = False
@@ -92,6 +93,11 @@ class QuasiStaticPlant:
             unstrained_length=length,
             tension=self._rest.tension,
         )
+
+    def swivel_angles(self) -> Array:
+        """Return how far pulleys have swivelled [rad], shape (B, n)."""
+        self.truth()  # the rest on the lengths as they are
+        return swivel_angle(self.robot, -self._rest.exit_tension)
 
     def acceleration(self) -> Array:
         """Refuse: a platform at rest has no acceleration to measure.

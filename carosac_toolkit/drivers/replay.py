@@ -23,8 +23,8 @@ class ReplaySettings:
 
     Attributes:
         recording: A file, or the name of a bundled recording.
-        suite: What of the recording `Measurement` carries; length rates and tensions always, and a
-            suite with tensions needs them. None: all it has but poses.
+        suite: What of the recording `Measurement` carries; all but IMU and poses always, and a
+            suite that names it needs it. None: all it has but poses.
     """
 
     recording: str = "synthetic"
@@ -49,12 +49,8 @@ class ReplayDriver:
     def __init__(self, robot: Robot, recording: Recording, settings: ReplaySettings) -> None:
         recording.require_cables(robot)
         suite = settings.suite
-        for sensor, data in (
-            ("imu", recording.imu),
-            ("pose", recording.poses),
-            ("tension", recording.tension),
-        ):
-            if suite is not None and sensor in suite and data is None:
+        for sensor in [] if suite is None else suite.split("+")[1:]:
+            if sensor not in recording.sensors:
                 allowed = f"one without {sensor}: the recording has none"
                 raise InvalidField("suite", repr(suite), allowed)
         self._recording = calibrated(recording, robot)

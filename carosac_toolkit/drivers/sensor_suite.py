@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,31 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.rotations import (
+    from_matrix,
+    from_rotation_vector,
+    roll_and_pitch,
+    wrapped_angle,
+)
 from carosac_toolkit.base.scaled import resolved
-from carosac_toolkit.drivers.plant import Plant
-from carosac_toolkit.drivers.sensors import DelayLine, SensorSettings, check_suite, quantised
+from carosac_toolkit.drivers.plant import Plant, Swivelling
+from carosac_toolkit.drivers.sensors import (
+    SENSORS,
+    DelayLine,
+    SensorSettings,
+    check_suite,
+    quantised,
+)
 from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
 from carosac_toolkit.physics.scales import Scales
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
-RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
-_CHANGING = ("encoder_bias", "_tension_bias", "_imu_bias", "_reading", "_measured")
+RANDOM_STREAMS = (
+    "encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension",
+    "tension_scale", "swivel_bias", "swivel", "attitude_turns", "attitude", "inclination_turn",
+    "inclination",
+)  # fmt: skip
+_CHANGING = ("encoder_bias", "_tension_bias", "_imu_bias", "_constant", "_reading", "_measured")
 
 
 class SensorSuite:
@@ -49,9 +65,12 @@ class SensorSuite:
         check_suite(suite, inertial=plant.inertial)
         self._settings = settings = resolved(settings, Scales(plant.robot).ratios)
         self._size, self._n = plant.size, plant.robot.n
+        self._lines = _delay_lines(settings.sensors_of(suite), settings)
+        if "swivel" in self._lines:
+            _check_swivels(plant)
         self._rng = _streams(seed, self._size)
         self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
-        self._lines = _delay_lines(suite, settings)
+        self._constant = self._turns()
         self._reading = self._encoded(plant)
         self._measured: Measurement | None = None
 
@@ -79,7 +98,7 @@ class SensorSuite:
         if not due - {"encoders"}:
             return
         state = plant.truth()
-        for name in ("pose", "imu", "tension"):
+        for name in SENSORS:
             if name in due:
                 self._lines[name].put(now, self._sampled(name, state, plant))
 
@@ -88,9 +107,10 @@ class SensorSuite:
 
         Call `restart` before the next sample, once these robots have been set down.
         """
-        mine = (self.encoder_bias, self._tension_bias, self._imu_bias)
-        for bias, drawn in zip(mine, self._biases(), strict=True):
-            bias[rows] = drawn[rows]
+        mine = (self.encoder_bias, self._tension_bias, self._imu_bias, *self._constant.values())
+        drawn = (*self._biases(), *self._turns().values())
+        for bias, other in zip(mine, drawn, strict=True):
+            bias[rows] = other[rows]
 
     def restart(self, rows: NDArray[Any], plant: Plant, now: float) -> None:
         """Clear the samples of some robots before now: they rest where they were placed.
@@ -121,6 +141,11 @@ class SensorSuite:
                 unstrained_length=self.newest_lengths(now),
                 length_rate=self._stamped("encoders", now, self._n),
                 tension=self._stamped("tension", now) if "tension" in self._lines else None,
+                swivel_angle=self._stamped("swivel", now) if "swivel" in self._lines else None,
+                attitude=self._stamped("attitude", now) if "attitude" in self._lines else None,
+                inclination=(
+                    self._stamped("inclination", now) if "inclination" in self._lines else None
+                ),
                 pose=self._measured_pose(now) if "pose" in self._lines else None,
                 imu=self._measured_imu(now) if "imu" in self._lines else None,
             )
@@ -137,10 +162,12 @@ class SensorSuite:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state of a suite of the same sensors and size."""
-        state = copy.deepcopy(state)
+        # States of earlier versions have none of these errors.
+        state = copy.deepcopy({"_constant": self._constant} | state)
         for name in _CHANGING:
             setattr(self, name, state[name])
-        for name, parts in self._rng.items():
+        for name in state["streams"]:
+            parts = self._rng[name]
             for one, known in zip(parts, state["streams"][name], strict=True):
                 one.bit_generator.state = known
         for name, line in self._lines.items():
@@ -162,13 +189,39 @@ class SensorSuite:
             scale * self._draw("imu_bias", 6),
         )
 
+    def _turns(self) -> dict[str, Array]:
+        """Draw constant errors of the sensors that are there, by their stream.
+
+        Those are scales of load cells, (B, n), zeros of swivel angles, (B, n) [rad], rotation
+        vectors of an AHRS on the platform with its heading, (B, 4) [rad], and of an inclinometer,
+        (B, 3) [rad].
+        """
+        sensors, n = self._settings, self._n
+        ahrs = np.append(np.full(3, sensors.attitude_mounting), sensors.attitude_heading)
+        sizes = {
+            "tension": ("tension_scale", np.full(n, sensors.tension_scale)),
+            "swivel": ("swivel_bias", np.full(n, sensors.swivel_bias)),
+            "attitude": ("attitude_turns", ahrs),
+            "inclination": ("inclination_turn", np.full(3, sensors.inclination_mounting)),
+        }
+        return {
+            stream: size * self._draw(stream, len(size))
+            for sensor, (stream, size) in sizes.items()
+            if sensor in self._lines
+        }
+
     def _sampled(self, name: str, state: State, plant: Plant) -> Array:
         """Sample a sensor with noise and bias."""
-        if name == "encoders":
-            return self._lengths(plant)
-        if name == "pose":
-            return self._pose(state)
-        return self._imu(state, plant) if name == "imu" else self._tension(state)
+        sample: dict[str, Callable[[], Array]] = {
+            "encoders": lambda: self._lengths(plant),
+            "pose": lambda: self._pose(state),
+            "imu": lambda: self._imu(state, plant),
+            "tension": lambda: self._tension(state),
+            "swivel": lambda: self._swivel(plant),
+            "attitude": lambda: self._attitude(state),
+            "inclination": lambda: self._inclination(state),
+        }
+        return sample[name]()
 
     def _encoded(self, plant: Plant, noise: Array | float = 0.0) -> Array:
         """Return the encoder readings of the plant [m], shape (B, n)."""
@@ -211,7 +264,28 @@ class SensorSuite:
         if state.tension is None:
             raise InvalidField("tension", "True", "False: this plant has no tensions")
         noise = self._settings.tension_noise * self._draw("tension", self._n)
-        return state.tension + self._tension_bias + noise
+        true = state.tension * (1.0 + self._constant["tension_scale"])
+        return true + self._tension_bias + noise
+
+    def _swivel(self, plant: Plant) -> Array:
+        """Return the angles of the pulleys about their swivel axes [rad], shape (B, n)."""
+        assert isinstance(plant, Swivelling)
+        noise = self._settings.swivel_noise * self._draw("swivel", self._n)
+        off = (self._constant["swivel_bias"] + noise) * (plant.robot.pulley_radius > 0.0)
+        return wrapped_angle(plant.swivel_angles() + off)
+
+    def _attitude(self, state: State) -> Array:
+        """Return quaternions from the frame of an AHRS to its level frame, shape (B, 4)."""
+        mounting, heading = np.split(self._constant["attitude_turns"], [3], axis=1)
+        about = from_rotation_vector(heading * np.array([0.0, 0.0, 1.0]))
+        noise = from_rotation_vector(self._settings.attitude_noise * self._draw("attitude", 3))
+        return from_matrix(about @ state.rotation @ from_rotation_vector(mounting) @ noise)
+
+    def _inclination(self, state: State) -> Array:
+        """Return roll and pitch of an inclinometer [rad], shape (B, 2)."""
+        mounting = from_rotation_vector(self._constant["inclination_turn"])
+        noise = self._settings.inclination_noise * self._draw("inclination", 2)
+        return wrapped_angle(roll_and_pitch(state.rotation @ mounting) + noise)
 
     def _stamped(self, sensor: str, now: float, first: int = 0) -> Stamped:
         """Return the newest sample of a sensor from a column on."""
@@ -251,14 +325,22 @@ def _streams(seed: int | Sequence[int], size: int) -> dict[str, list[np.random.G
     }
 
 
-def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine]:
-    """Return the sensors of a suite by name, always in the same order."""
-    parts = suite.split("+")
+def _delay_lines(sensors: Sequence[str], settings: SensorSettings) -> Mapping[str, DelayLine]:
+    """Return the encoders and other sensors by name, always in the same order."""
     lines = {"encoders": DelayLine(settings.encoder_rate, settings.encoder_delay)}
-    if "pose" in parts:
-        lines["pose"] = DelayLine(settings.pose_rate, settings.pose_delay)
-    if "imu" in parts:
-        lines["imu"] = DelayLine(settings.imu_rate, settings.imu_delay)
-    if settings.tension or "tension" in parts:
-        lines["tension"] = DelayLine(settings.tension_rate, settings.tension_delay)
+    for name in sensors:
+        rate, delay = getattr(settings, f"{name}_rate"), getattr(settings, f"{name}_delay")
+        lines[name] = DelayLine(rate, delay)
     return lines
+
+
+def _check_swivels(plant: Plant) -> None:
+    """Refuse swivel angles where there are none.
+
+    Raises:
+        InvalidField: The robot has no pulleys, or the plant does not know how they turn.
+    """
+    if not (plant.robot.pulley_radius > 0.0).any():
+        raise InvalidField("suite", "'swivel'", "one without: the robot has no pulleys")
+    if not isinstance(plant, Swivelling):
+        raise InvalidField("suite", "'swivel'", "one without: this plant has no swivel angles")

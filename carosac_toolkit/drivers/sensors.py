@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +15,12 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.base.scaled import Scaled
 
+SENSORS = ("imu", "pose", "tension", "swivel", "attitude", "inclination")  # beside the encoders
+# Of all suites those that are offered to choose from.
 SENSOR_SUITES = (
     "lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose", "lengths+tension",
-    "lengths+imu+tension",
+    "lengths+imu+tension", "lengths+swivel", "lengths+imu+swivel", "lengths+attitude",
+    "lengths+inclination",
 )  # fmt: skip
 
 
@@ -48,7 +52,25 @@ class SensorSettings:
         tension_rate: Sampling rate of the load cells [Hz].
         tension_noise: Noise per sample [N].
         tension_bias: Constant, drawn once per cable [N].
+        tension_scale: Constant error as a share of the tension, drawn once per cable [1].
         tension_delay: From the sample to its arrival [s].
+        swivel: True to add encoders of the swivel axes of pulleys to a suite without them.
+        swivel_rate: Sampling rate of these [Hz].
+        swivel_noise: Noise per sample [rad].
+        swivel_bias: Constant error of their zeros, drawn once per pulley [rad].
+        swivel_delay: From the sample to its arrival [s].
+        attitude: True to add an AHRS on the platform to a suite without one.
+        attitude_rate: Its sampling rate [Hz].
+        attitude_noise: Per axis and sample [rad].
+        attitude_mounting: Constant turn of the sensor on the platform, drawn once per axis [rad].
+        attitude_heading: Heading of its level frame in W, drawn once [rad]; it has any.
+        attitude_delay: From the sample to its arrival [s].
+        inclination: True to add an inclinometer on the platform to a suite without one.
+        inclination_rate: Its sampling rate [Hz].
+        inclination_noise: Of roll and pitch, per sample [rad].
+        inclination_mounting: Constant turn of the sensor on the platform, drawn once per axis
+            [rad].
+        inclination_delay: From the sample to its arrival [s].
     """
 
     encoder_rate: float = 100.0
@@ -70,17 +92,43 @@ class SensorSettings:
     tension_rate: float = 100.0
     tension_noise: float = Scaled(0.5, "N", most=0.5)
     tension_bias: float = Scaled(1.0, "N", most=1.0)
+    tension_scale: float = 0.0
     tension_delay: float = 0.01
+    swivel: bool = False
+    swivel_rate: float = 100.0
+    swivel_noise: float = 3.5e-3
+    swivel_bias: float = 3.5e-3
+    swivel_delay: float = 0.01
+    attitude: bool = False
+    attitude_rate: float = 100.0
+    attitude_noise: float = 5e-3
+    attitude_mounting: float = 0.02
+    attitude_heading: float = math.pi
+    attitude_delay: float = 0.01
+    inclination: bool = False
+    inclination_rate: float = 100.0
+    inclination_noise: float = 5e-3
+    inclination_mounting: float = 0.02
+    inclination_delay: float = 0.01
 
     def __post_init__(self) -> None:
         """Refuse negative numbers and rates of zero."""
-        if not isinstance(self.tension, bool):
-            raise InvalidField("tension", repr(self.tension), "True or False")
-        others = [name for name in vars(self) if name not in (*_RATE_FIELDS, "tension")]
+        for name in _ADDED:
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidField(name, repr(getattr(self, name)), "True or False")
+        others = [name for name in vars(self) if name not in (*_RATE_FIELDS, *_ADDED)]
         check_fields(self, positive=_RATE_FIELDS, not_negative=others)
 
+    def sensors_of(self, suite: str) -> tuple[str, ...]:
+        """Return the sensors of a suite beside the encoders, with those that are added."""
+        parts = suite.split("+")
+        return tuple(
+            name for name in SENSORS if name in parts or (name in _ADDED and getattr(self, name))
+        )
 
-_RATE_FIELDS = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
+
+_ADDED = ("tension", "swivel", "attitude", "inclination")  # to any suite
+_RATE_FIELDS = ("encoder_rate", *(f"{name}_rate" for name in SENSORS))
 
 PERFECT_SENSORS = SensorSettings(
     encoder_noise=0.0,
@@ -97,6 +145,16 @@ PERFECT_SENSORS = SensorSettings(
     tension_noise=0.0,
     tension_bias=0.0,
     tension_delay=0.0,
+    swivel_noise=0.0,
+    swivel_bias=0.0,
+    swivel_delay=0.0,
+    attitude_noise=0.0,
+    attitude_mounting=0.0,
+    attitude_heading=0.0,
+    attitude_delay=0.0,
+    inclination_noise=0.0,
+    inclination_mounting=0.0,
+    inclination_delay=0.0,
 )
 
 
@@ -167,10 +225,12 @@ def check_suite(suite: str, *, inertial: bool) -> None:
     Raises:
         InvalidField: Names ``suite``.
     """
-    allowed = [name for name in SENSOR_SUITES if inertial or "imu" not in name]
-    if suite not in allowed:
-        why = "" if inertial else ": this plant has no inertia"
-        raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")
+    has = [name for name in SENSORS if inertial or name != "imu"]
+    parts = suite.split("+")
+    if parts != ["lengths", *(name for name in has if name in parts[1:])]:
+        why = "" if inertial else "; this plant has no inertia"
+        allowed = f"'lengths', then any of {', '.join(f'+{name}' for name in has)}, in this order"
+        raise InvalidField("suite", repr(suite), allowed + why)
 
 
 def quantised(value: Array, resolution: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from types import MappingProxyType
 from typing import Any
@@ -92,8 +92,31 @@ def build_controller(
     return build_plugin(plugin, robot, where=where, asked=asked, offered=offered, seed=seed)
 
 
-def build_estimator(name: str, robot: Robot, chosen: Mapping[str, Any], *, seed: int) -> Any:
-    """Build an estimator of a live run; arguments as of `build_controller`."""
+def build_estimator(
+    name: str, robot: Robot, chosen: Mapping[str, Any], *, sensors: str, seed: int
+) -> Any:
+    """Build an estimator of a live run, which uses the swivel encoders and so on of the sensors.
+
+    Args:
+        name: As of `build_controller`, and so are others.
+        robot: The same.
+        chosen: The same.
+        sensors: Suite of the driver.
+        seed: The same.
+    """
     asked = chosen["estimator_settings"].get(name, {})
-    plugin = plugins.load("estimators", name)
-    return build_plugin(plugin, robot, where=f"estimator.{name}", asked=asked, seed=seed)
+    plugin, where = plugins.load("estimators", name), f"estimator.{name}"
+    offered = uses_of(sensors.split("+"))
+    return build_plugin(plugin, robot, where=where, asked=asked, offered=offered, seed=seed)
+
+
+def uses_of(sensors: Collection[str]) -> dict[str, bool]:
+    """Return settings by which estimators use some sensors where these are there.
+
+    Load cells are not among them: their scales may be off.
+
+    Args:
+        sensors: Those that are there, by their names in suites.
+    """
+    rotates = "attitude" in sensors or "inclination" in sensors
+    return {"swivels": "swivel" in sensors, "attitude": rotates}

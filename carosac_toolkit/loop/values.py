@@ -91,6 +91,12 @@ class Measurement:
         unstrained_length: From the encoders [m], shape (B, n).
         length_rate: Rate of the unstrained length [m/s], or None.
         tension: Tension at the platform [N], or None.
+        swivel_angle: Angles of the pulleys about their swivel axes [rad], (B, n), or None; sign and
+            zero as in `carosac_toolkit.recordings.Recording`.
+        attitude: From an AHRS on the platform: quaternions w x y z from the frame of the sensor to
+            a level frame, z up, of any heading, (B, 4), or None.
+        inclination: From an inclinometer on the platform: roll and pitch [rad], (B, 2), or None;
+            as in `carosac_toolkit.recordings.Recording`.
         pose: From motion capture, or None.
         imu: Inertial samples, or None.
         drive_status: Status word of each drive, as the driver defines it, or None.
@@ -100,6 +106,9 @@ class Measurement:
     unstrained_length: Array
     length_rate: Stamped | None = None
     tension: Stamped | None = None
+    swivel_angle: Stamped | None = None
+    attitude: Stamped | None = None
+    inclination: Stamped | None = None
     pose: Pose | None = None
     imu: Imu | None = None
     drive_status: tuple[str, ...] | None = None

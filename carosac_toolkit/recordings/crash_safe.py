@@ -28,7 +28,7 @@ from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.values import Belief, Command, Imu, Measurement, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.recordings.recording import MEASURED_CHANNELS, Recording
 
 RUN_SCHEMA = "carosac-run/1"
 RUN_SUFFIX = ".jsonl"
@@ -84,15 +84,14 @@ class CrashSafeRecorder:
 
     def measured(self, measurement: Measurement) -> None:
         """Record a measurement; a batch of one."""
-        rate, tension, pose, imu = (
-            measurement.length_rate, measurement.tension, measurement.pose, measurement.imu
-        )  # fmt: skip
+        pose, imu = measurement.pose, measurement.imu
         row: dict[str, Any] = {
             "row": "measured",
             "time": float(measurement.time[0]),
             "unstrained_length": measurement.unstrained_length[0].tolist(),
         }
-        for name, channel in (("length_rate", rate), ("tension", tension)):
+        for name in MEASURED_CHANNELS:
+            channel = getattr(measurement, name)
             if channel is not None:
                 row[name] = [float(channel.time[0]), channel.value[0].tolist()]
         if pose is not None:
@@ -272,14 +271,14 @@ def _run(
     recording = Recording(
         time=lengths.time,
         unstrained_length=lengths.value,
-        length_rate=_stamped(
-            [tuple(row["length_rate"]) for row in measured if "length_rate" in row]
-        ),
-        tension=_stamped([tuple(row["tension"]) for row in measured if "tension" in row]),
         command=_stamped([(row["time"], row["unstrained_length"]) for row in sent]),
         poses=_poses([row["pose"] for row in measured if "pose" in row]),
         imu=_imu(measured),
         metadata=RecordingMetadata.from_dict(head["metadata"]),
+        **{
+            name: _stamped([tuple(row[name]) for row in measured if name in row])
+            for name in MEASURED_CHANNELS
+        },
     )
     asked = [(row["time"], row["asked"]) for row in (*sent, *would) if "asked" in row]
     return RecordedRun(

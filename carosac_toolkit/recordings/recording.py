@@ -25,6 +25,7 @@ Channel = TypeVar("Channel", Stamped, PoseSamples, Imu)
 
 CABLE_CHANNELS = ("length_rate", "tension", "command", "swivel_angle")  # a column per cable
 STAMPED_CHANNELS = (*CABLE_CHANNELS, "attitude", "inclination")
+MEASURED_CHANNELS = tuple(name for name in STAMPED_CHANNELS if name != "command")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,6 +94,16 @@ class Recording:
         return int(self.unstrained_length.shape[1])
 
     @property
+    def sensors(self) -> tuple[str, ...]:
+        """Sensors that it has beside the encoders, by their names in sensor suites."""
+        channels = {
+            "imu": self.imu, "pose": self.poses, "tension": self.tension,
+            "swivel": self.swivel_angle, "attitude": self.attitude,
+            "inclination": self.inclination,
+        }  # fmt: skip
+        return tuple(name for name, channel in channels.items() if channel is not None)
+
+    @property
     def channel_times(self) -> Mapping[str, Array]:
         """Time stamps [s] of each channel that is there, by name; lengths come first."""
         times = {"unstrained_length": self.time}
@@ -119,7 +130,7 @@ class Recording:
         """Return the measurement of a driver at length sample `index`; poses are withheld.
 
         The optional channels hold only what is new since the previous length sample: the latest
-        length rate and tension, and all inertial samples.
+        of each, and all inertial samples.
 
         Args:
             index: Of the length sample, 0 <= index < N.
@@ -131,12 +142,12 @@ class Recording:
             raise InvalidField("index", index, f"0 <= index < {len(self.time)}")
         after = -np.inf if index == 0 else float(self.time[index - 1])
         until = float(self.time[index])
+        latest = {name: _latest(getattr(self, name), after, until) for name in MEASURED_CHANNELS}
         return Measurement(
             time=self.time[index : index + 1],
             unstrained_length=self.unstrained_length[index : index + 1],
-            length_rate=_latest(self.length_rate, after, until),
-            tension=_latest(self.tension, after, until),
             imu=_inertial(self.imu, after, until),
+            **latest,
         )
 
     def pose_at(self, time: ArrayLike, *, gap_max: float = 0.5) -> PoseInterpolation:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.loop.plugin_builder import build_plugin
+from carosac_toolkit.loop.plugin_builder import build_plugin, uses_of
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.recordings.encoders import calibrated
@@ -181,7 +181,8 @@ class _Scoring:
     def result(self, name: str, target: Any, stop: int, seed: int) -> ModelResult:
         """Run and score one model."""
         try:
-            model = build_plugin(target, self._robot, where=name, seed=seed)
+            offered = uses_of(self._recording.sensors)
+            model = build_plugin(target, self._robot, where=name, offered=offered, seed=seed)
             return self._score(name, run_open_loop(model, self._recording, stop, self._first))
         except (Exception, SystemExit) as error:  # a user's model may raise anything
             reason = f"{type(error).__name__}: {error}".splitlines()[0]

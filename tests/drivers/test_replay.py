@@ -95,11 +95,18 @@ def test_poses_and_inertial_samples_are_withheld_unless_the_suite_has_them(recor
             assert (m.pose is not None) == pose.valid[0]
 
 
-def test_a_suite_with_tensions_needs_them_in_the_recording(recording):
-    entries = every_sample(connected(recording, suite="lengths+tension"))
-    assert any(measurement.tension is not None for measurement, _, _ in entries)
-    with pytest.raises(InvalidField, match="one without tension: the recording has none"):
-        connected(replace(recording, tension=None), suite="lengths+tension")
+@pytest.mark.parametrize(
+    ("sensor", "channel"),
+    [
+        ("tension", "tension"), ("swivel", "swivel_angle"), ("attitude", "attitude"),
+        ("inclination", "inclination"),
+    ],
+)  # fmt: skip
+def test_a_suite_needs_its_sensors_in_the_recording(recording, sensor, channel):
+    entries = every_sample(connected(recording, suite=f"lengths+{sensor}"))
+    assert any(getattr(measurement, channel) is not None for measurement, _, _ in entries)
+    with pytest.raises(InvalidField, match=f"one without {sensor}: the recording has none"):
+        connected(replace(recording, **{channel: None}), suite=f"lengths+{sensor}")
 
 
 def test_by_default_poses_are_withheld(recording):

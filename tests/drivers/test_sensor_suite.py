@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import roll_and_pitch, to_matrix
 from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SENSOR_SUITES, SensorSettings
+from carosac_toolkit.physics.cable.swivel import swivel_angle
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.similar import similar_robot
 from carosac_toolkit.robot.sizes import cable_size
+from sim_warp.driver import SimPlant
 from tests.plants import TurningPlant
 
 ALL = "lengths+imu+pose"
@@ -45,11 +49,16 @@ def inertial(result, channel):
 
 def test_a_suite_has_its_sensors_and_no_others():
     for suite in SENSOR_SUITES:
+        if "swivel" in suite:
+            continue  # this plant has no pulleys
         result = measured(suite, PERFECT_SENSORS, count=2)[-1]
         assert (result.imu is not None) == ("imu" in suite)
         assert (result.pose is not None) == ("pose" in suite)
         assert (result.tension is not None) == ("tension" in suite)
-        assert measured(suite, NOISY, count=2)[-1].tension is not None
+        assert (result.attitude is not None) == ("attitude" in suite)
+        assert (result.inclination is not None) == ("inclination" in suite)
+        added = measured(suite, replace(NOISY, attitude=True, inclination=True), count=2)[-1]
+        assert None not in (added.tension, added.attitude, added.inclination)
 
 
 def test_an_imu_at_rest_feels_its_own_weight_upwards():
@@ -157,6 +166,82 @@ def test_tensions_have_noise_bias_rate_and_delay():
     assert error.mean(axis=0).std() == pytest.approx(4.0, rel=5.0 / np.sqrt(2 * 800))
 
 
+def turned(settings, *, size=1, **more):
+    """Measurements of all sensors of turns on a platform that moves."""
+    plant = TurningPlant(size=size, **more)
+    return plant, measured("lengths+attitude+inclination", settings, plant=plant)
+
+
+def test_an_ahrs_tells_turns_and_the_vertical_whatever_its_heading_and_mounting():
+    askew = replace(PERFECT_SENSORS, attitude_mounting=0.1, attitude_heading=2.0)
+    plant, result = turned(askew)
+    said = np.concatenate([to_matrix(m.attitude.value) for m in result])
+    true = plant.rotation_at(np.concatenate([m.attitude.time for m in result]))
+    for name in ("up", "turn"):
+        first, second = (
+            each[:, 2] @ each[0, 2] if name == "up" else np.einsum("kij,ij->k", each, each[0])
+            for each in (said, true)
+        )
+        np.testing.assert_allclose(first, second, atol=1e-9)
+    assert np.abs(said[:, 2] - true[:, 2]).max() > 1e-3  # it is mounted askew
+
+
+def test_perfect_sensors_of_turns_tell_the_rotation():
+    plant, result = turned(PERFECT_SENSORS, size=2)
+    for m in result[::7]:
+        true = plant.rotation_at(m.attitude.time + 0.1 * np.arange(2))
+        np.testing.assert_allclose(to_matrix(m.attitude.value), true, atol=1e-12)
+        np.testing.assert_allclose(m.inclination.value, roll_and_pitch(true), atol=1e-12)
+
+
+def test_sensors_of_turns_have_their_noise():
+    settings = replace(PERFECT_SENSORS, attitude_noise=0.01, inclination_noise=0.02)
+    _, result = turned(settings, size=200, speed=0.0, spin=0.0)
+    vectors = np.concatenate([m.attitude.value[:, 1:] for m in result])  # half of the turns
+    assert 2.0 * vectors.std() == pytest.approx(0.01, rel=0.02)
+    tilts = np.concatenate([m.inclination.value for m in result])
+    assert tilts.std() == pytest.approx(0.02, rel=0.02)
+
+
+def test_scales_of_load_cells_are_off_in_proportion():
+    plant = TurningPlant(size=300)
+    m = measured(
+        "lengths+tension", replace(PERFECT_SENSORS, tension_scale=0.1), plant=plant, count=2
+    )[-1]
+    true = 100.0 + 10.0 * plant.length_at(m.tension.time + 0.1 * np.arange(300))
+    share = m.tension.value / true - 1.0
+    assert share.std() == pytest.approx(0.1, rel=5.0 / np.sqrt(2 * share.size))
+    again = measured(
+        "lengths+tension", replace(PERFECT_SENSORS, tension_scale=0.1), plant=plant, count=30
+    )[-1]
+    later = 100.0 + 10.0 * plant.length_at(again.tension.time + 0.1 * np.arange(300))
+    assert again.tension.value / later - 1.0 == pytest.approx(share)
+
+
+@pytest.mark.parametrize("kind", ["simulator", "quasi_static"])
+def test_swivel_encoders_see_where_cables_leave_their_pulleys(kind):
+    robot = load_robot("warehouse")
+    sensors = replace(PERFECT_SENSORS, swivel_bias=0.01)
+    plant = QuasiStaticPlant(robot) if kind == "quasi_static" else SimPlant(robot)
+    start = robot.home_position + np.array([0.5, -0.3, 0.0])
+    plant.reset(start[None])
+    suite = SensorSuite("lengths+swivel", sensors, plant, 0)
+    suite.sample(plant, 0.0)
+    rest = statics.inverse_kinematics(robot, start[None])
+    off = suite.measure(0.0).swivel_angle.value - swivel_angle(robot, -rest.exit_tension)
+    assert off.std() == pytest.approx(0.01, rel=0.6) and np.abs(off).max() < 0.04
+    true = plant.swivel_angles()
+    assert true == pytest.approx(swivel_angle(robot, -rest.exit_tension), abs=1e-6)
+
+
+def test_swivel_angles_need_pulleys_and_a_plant_that_knows_them():
+    with pytest.raises(InvalidField, match="the robot has no pulleys"):
+        SensorSuite("lengths+swivel", PERFECT_SENSORS, TurningPlant(), 0)
+    with pytest.raises(InvalidField, match="this plant has no swivel angles"):
+        pulleys = replace(TurningPlant().robot, pulley_radius=np.full(4, 0.05))
+        SensorSuite("lengths+swivel", PERFECT_SENSORS, TurningPlant(robot=pulleys), 0)
+
+
 def test_another_sensor_changes_nothing_that_this_one_says():
     lone = measured("lengths", SensorSettings(), seed=7)
     posed = measured("lengths+pose", SensorSettings(), seed=7)
@@ -193,10 +278,12 @@ def test_robots_of_a_batch_have_errors_of_their_own():
 
 
 def test_a_plant_without_inertia_has_no_imu():
-    refusal = r"suite: got .*'lengths\+tension'\]: this plant has no inertia"
+    refusal = r"suite: got .* any of \+pose, .* in this order; this plant has no inertia"
     with pytest.raises(InvalidField, match=refusal):
         SensorSuite("lengths+imu", PERFECT_SENSORS, QuasiStaticPlant(TurningPlant().robot), 0)
-    with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):
+    with pytest.raises(
+        InvalidField, match=r"suite: got 'pose'; allowed: 'lengths', then any of \+imu, "
+    ):
         SensorSuite("pose", PERFECT_SENSORS, TurningPlant(), 0)
 
 
@@ -205,7 +292,8 @@ def test_a_plant_without_inertia_has_no_imu():
     [
         ("imu_rate", 0.0), ("angular_rate_noise", -1.0), ("specific_force_bias", np.nan),
         ("imu_delay", -0.1), ("tension_rate", 0.0), ("tension_noise", -1.0), ("tension", 1),
-        ("angular_rate_bias", -1.0),
+        ("angular_rate_bias", -1.0), ("swivel", 1), ("attitude", None), ("inclination_rate", 0.0),
+        ("swivel_noise", -1.0), ("attitude_heading", np.inf), ("tension_scale", -0.1),
     ],
 )  # fmt: skip
 def test_impossible_numbers_are_refused(name, value):

@@ -56,6 +56,9 @@ def full(k):
         k,
         length_rate=Stamped(time=when, value=rng.random((1, 4))),
         tension=Stamped(time=when, value=50.0 + rng.random((1, 4))),
+        swivel_angle=Stamped(time=when, value=rng.random((1, 4))),
+        attitude=Stamped(time=when, value=np.array([[0.6, 0.0, 0.8 * (-1) ** k, 0.0]])),
+        inclination=Stamped(time=when + 1e-3, value=rng.random((1, 2))),
         pose=Pose(position=rng.random((1, 3)), rotation=turn, time=when),
         imu=Imu(
             time=np.array([[0.01 * k - 0.005, 0.01 * k]]),
@@ -80,7 +83,10 @@ def test_every_channel_reads_back_bit_by_bit(tmp_path):
     for name, values in (
         ("unstrained_length", [w.unstrained_length[0] for w in wanted]),
         ("length_rate", [w.length_rate.value[0] for w in wanted]),
-        ("tension", [w.tension.value[0] for w in wanted]),
+        *(
+            (name, [getattr(w, name).value[0] for w in wanted])
+            for name in ("tension", "swivel_angle", "attitude", "inclination")
+        ),
     ):
         result = getattr(recording, name)
         assert np.array_equal(getattr(result, "value", result), values)
@@ -90,6 +96,7 @@ def test_every_channel_reads_back_bit_by_bit(tmp_path):
     assert np.array_equal(
         recording.imu.specific_force, np.concatenate([w.imu.specific_force[0] for w in wanted])
     )
+    assert np.array_equal(recording.inclination.time, [w.inclination.time[0] for w in wanted])
     assert recording.metadata.robot == "carosac"
 
 

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.sensors import SENSORS
 from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.recordings.recording import MEASURED_CHANNELS, Recording
 from tests.recordings.synthetic import assert_same, full_recording
 from tests.robots import eight_cable_robot, simple_robot
 
@@ -78,6 +79,26 @@ def test_a_measured_tension_comes_once_with_its_own_stamp():
         if tension is not None:
             np.testing.assert_array_equal(tension.value[0], recording.tension.value[i // 3])
             assert tension.time[0] == recording.time[i]
+
+
+@pytest.mark.parametrize("name", MEASURED_CHANNELS)
+def test_each_sample_of_a_channel_is_measured_at_the_next_length_sample(name):
+    recording = full_recording()
+    channel = getattr(recording, name)
+    for i in range(len(recording.time)):
+        after = recording.time[i - 1] if i else -np.inf
+        new = np.flatnonzero((channel.time > after) & (channel.time <= recording.time[i]))
+        measured = getattr(recording.measurement(i), name)
+        assert (measured is None) == (len(new) == 0)
+        if measured is not None:
+            np.testing.assert_array_equal(measured.value[0], channel.value[new[-1]])
+            assert measured.time[0] == channel.time[new[-1]]
+
+
+def test_a_recording_names_its_sensors_as_suites_do():
+    assert full_recording().sensors == SENSORS
+    bare = full_recording(poses=None, imu=None, tension=None, swivel_angle=None, inclination=None)
+    assert bare.sensors == ("attitude",)
 
 
 def test_an_index_outside_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,6 +73,27 @@ class Spying(Constant):
     def update(self, belief, command, measurement):
         Spying.seen.append((command, measurement))
         return super().update(belief, command, measurement)
+
+
+@dataclass(frozen=True)
+class Uses:
+    """Settings of `Using`."""
+
+    swivels: bool = False
+    attitude: bool = False
+
+
+class Using(Constant):
+    """Lies a metre higher if it is told of swivel angles, and ten if of an orientation."""
+
+    Settings = Uses
+
+    @classmethod
+    def build(cls, robot, settings, *, seed):
+        return cls(robot, 1.0 * settings.swivels + 10.0 * settings.attitude)
+
+    def believe(self, measurement, count):
+        return super().believe(measurement, count, shift=self.seed)
 
 
 class Raising(Constant):

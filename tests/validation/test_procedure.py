@@ -159,6 +159,20 @@ def test_the_seed_reaches_the_model():
     assert first.pose.position[0] == pytest.approx(ROBOT.home_position + 3.0)
 
 
+@pytest.mark.parametrize(
+    ("channels", "shift"), [((), 0.0), (("swivel_angle",), 1.0), (("inclination",), 10.0)]
+)
+def test_models_are_told_which_sensors_a_recording_has(channels, shift):
+    recording = perfect()
+    columns = {"swivel_angle": recording.n, "inclination": 2}
+    more = {
+        name: Stamped(time=recording.time, value=np.zeros((len(recording.time), columns[name])))
+        for name in channels
+    }
+    model = validate(replace(recording, **more), ROBOT, [f"{NAME}:Using"]).models[f"{NAME}:Using"]
+    assert model.pose.position[0] == pytest.approx(ROBOT.home_position + shift)
+
+
 def test_straight_lengths_are_predicted_for_models_without_tensions():
     result = validate(perfect(), ROBOT)
     straight = result.models["straight_line"]

@@ -38,7 +38,28 @@ def swivel_angle(robot: Robot, leaving: Array) -> Array:
     Returns:
         shape (B, n); 0 where there is no pulley.
     """
-    zero = swivel_zero(robot)
-    side = np.cross(robot.swivel_axis, zero)
+    zero, side = _plane(robot)
     angle = np.arctan2((leaving * side).sum(axis=-1), (leaving * zero).sum(axis=-1))
     return np.where(robot.pulley_radius > 0.0, angle, 0.0)
+
+
+def swivel_slope(robot: Robot, leaving: Array) -> Array:
+    """Return the change of `swivel_angle` per change of the vectors [rad/m], shape (B, n, 3).
+
+    Args:
+        robot: Robot description, n cables.
+        leaving: Vectors from exit points to anchor points in W [m], shape (B, n, 3).
+
+    Returns:
+        0 where there is no pulley.
+    """
+    zero, side = _plane(robot)
+    along, across = ((leaving * each).sum(axis=-1, keepdims=True) for each in (zero, side))
+    slope = (along * side - across * zero) / (along**2 + across**2)
+    return np.where(robot.pulley_radius[:, None] > 0.0, slope, 0.0)
+
+
+def _plane(robot: Robot) -> tuple[Array, Array]:
+    """Return the unit vectors across the swivel axes at angles of 0 and 90 degrees, (n, 3) each."""
+    zero = swivel_zero(robot)
+    return zero, np.cross(robot.swivel_axis, zero)

@@ -20,7 +20,7 @@ from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Log, run
-from carosac_toolkit.loop.plugin_builder import build_plugin
+from carosac_toolkit.loop.plugin_builder import build_plugin, uses_of
 from carosac_toolkit.loop.plugin_errors import BadPlugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
@@ -159,7 +159,8 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == TRUTH:
         return Truth(driver)
-    given = {"load_cells": "tension" in case.sensors.split("+")}
+    sensors = case.sensors.split("+")
+    given = {"load_cells": "tension" in sensors, **uses_of(sensors)}
     asked = case.settings.get("estimator_settings", {})
     given = {name: value for name, value in given.items() if name not in asked}
     return build_part("estimators", case.estimator, robot, case, "estimator_settings", given)

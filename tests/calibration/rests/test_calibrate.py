@@ -9,9 +9,8 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from calibration import RestSettings, Unobservable, calibrate_rests, draw_rest_scene
-from calibration.rests.model import roll_and_pitch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.rotations import from_matrix, to_matrix
+from carosac_toolkit.base.rotations import from_matrix, roll_and_pitch, to_matrix
 from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.robot.similar import similar_robot
 from tests.calibration.rests.scenes import scene, surveyed_robot

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration import RestSettings
-from calibration.rests.model import RestModel, roll_and_pitch
+from calibration.rests.model import RestModel
 from calibration.rests.readings import RestReadings
 from calibration.rests.unknowns import find_unknowns
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import roll_and_pitch
 from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest import statics
 from tests.calibration.rests.scenes import surveyed_robot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit.physics.cable.swivel import swivel_angle, swivel_zero
+from carosac_toolkit.physics.cable.swivel import swivel_angle, swivel_slope, swivel_zero
 from carosac_toolkit.physics.rest import statics
 
 
@@ -44,3 +44,15 @@ def test_zero_is_towards_x_or_towards_y_about_an_axis_along_x(robot):
 def test_a_cable_without_a_pulley_has_angle_zero():
     robot = ct.load_robot("carosac")
     assert (swivel_angle(robot, np.ones((2, 4, 3))) == 0.0).all()
+
+
+def test_the_slope_is_the_change_of_the_angle(robot):
+    rng = np.random.default_rng(0)
+    axis = robot.swivel_axis + 0.2 * rng.standard_normal((8, 3))
+    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    tilted = replace(robot, swivel_axis=axis)
+    leaving, step = rng.standard_normal((3, 8, 3)), 1e-6 * rng.standard_normal((3, 8, 3))
+    change = swivel_angle(tilted, leaving + step) - swivel_angle(tilted, leaving - step)
+    by_slope = 2.0 * (swivel_slope(tilted, leaving) * step).sum(axis=-1)
+    np.testing.assert_allclose(change, by_slope, rtol=1e-6, atol=1e-12)
+    assert not swivel_slope(ct.load_robot("carosac"), np.ones((1, 4, 3))).any()

@@ -20,6 +20,7 @@ from carosac_toolkit.studies.run.run_case import (
     Truth,
     build_part,
     condition_of,
+    estimator_of,
     file_digests,
     given_to_driver,
     robot_digest,
@@ -160,6 +161,23 @@ def test_all_sensors_meet_the_same_motion(sensors):
     """A controller that uses no belief tracks the same, whatever is measured."""
     one, other = (row_of(sensors=name) for name in ("lengths", sensors))
     assert other["tracking_rmse_norm_m"] == pytest.approx(one["tracking_rmse_norm_m"], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "used"),
+    [
+        ("lengths", (False, False, False)),
+        ("lengths+tension", (True, False, False)),
+        ("lengths+swivel", (False, True, False)),
+        ("lengths+attitude", (False, False, True)),
+        ("lengths+imu+inclination", (False, False, True)),
+    ],
+)
+def test_an_estimator_uses_the_sensors_of_the_suite(sensors, used):
+    """It has states for what they err by."""
+    chosen = case(estimator="dynamic_estimator", sensors=sensors)
+    settings = estimator_of(chosen, simple_robot(), None)._settings
+    assert (settings.load_cells, settings.swivels, settings.attitude) == used
 
 
 def test_the_wind_of_a_condition_reaches_the_driver_that_has_one(watched):
