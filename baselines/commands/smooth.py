@@ -55,6 +55,9 @@ class Options(CommonOptions):
     second one and scores on the others, each at its own time, `used` uses all."""
     imu: bool = True
     """Use inertial samples, where the recording has them."""
+    angles: bool = True
+    """Use swivel angles, and the orientation by an AHRS or inclinometer, where the recording has
+    them."""
     lag: float | None = None
     """Use only measurements up to so many seconds later; by default the whole recording."""
     start: int = 0
@@ -159,7 +162,10 @@ def _settings(options: Options) -> SmootherSettings:
     dynamics = replace(
         usual.dynamics, **{name: value for name, value in asked.items() if value is not None}
     )
-    return replace(usual, poses=options.poses, imu=options.imu, lag=options.lag, dynamics=dynamics)
+    return replace(
+        usual, poses=options.poses, imu=options.imu, angles=options.angles, lag=options.lag,
+        dynamics=dynamics,
+    )  # fmt: skip
 
 
 def _progress(passes: int, change: float) -> None:

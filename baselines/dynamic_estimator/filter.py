@@ -2,43 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
-from baselines.dynamic_estimator.measurement_models import (
-    ImuMean,
-    LinearisedMeasurement,
-    MeasurementModels,
-)
+from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
-from baselines.dynamic_estimator.orientation_measurement import (
-    measured_attitude,
-    measured_inclination,
-)
+from baselines.dynamic_estimator.reading_models import READING_MODELS
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.swivel_measurement import measured_swivels
-from baselines.dynamic_estimator.tension_measurement import measured_tension
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.scales import Scales
-from carosac_toolkit.robot.robot import Robot
 
 # By which twists change while a pose is late.
 LATE_POSE_ACCELERATION = Scaled(2.0, "m/s^2")
 LATE_POSE_ANGULAR_ACCELERATION = Scaled(5.0, "rad/s^2")
-ReadingModel = Callable[
-    [Robot, DynamicFilterState, Array, DynamicEstimatorSettings], LinearisedMeasurement
-]
-_MODELS: dict[str, ReadingModel] = {
-    "tension": measured_tension,
-    "swivel_angle": measured_swivels,
-    "attitude": measured_attitude,
-    "inclination": measured_inclination,
-}
-READING_CHANNELS = tuple(_MODELS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,10 +119,10 @@ class DynamicFilter:
 
         Args:
             state: The estimate.
-            channel: One of `carosac_toolkit.loop.values.Measurement`, of `READING_CHANNELS`.
+            channel: One of `carosac_toolkit.loop.values.Measurement`, of `READING_MODELS`.
             value: As there, without its batch.
         """
-        measurement = _MODELS[channel](self._model.robot, state, value, self._settings)
+        measurement = READING_MODELS[channel](self._model.robot, state, value, self._settings)
         cross = state.covariance @ measurement.by.T
         own = measurement.by @ cross + measurement.noise
         return self._corrected(state, cross, own, measurement.residual)

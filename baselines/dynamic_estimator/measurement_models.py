@@ -33,14 +33,17 @@ class LinearisedMeasurement(NamedTuple):
     """Measurement to first order in the errors.
 
     Attributes:
-        residual: Measured minus expected, shape (6,).
-        by: Its change per error, shape (6, size).
-        noise: Covariance of its own, shape (6, 6).
+        residual: Measured minus expected, shape (k,).
+        by: Its change per error, shape (k, size).
+        noise: Covariance of its own, shape (k, k).
+        by_pose: Change of what is expected per change of the pose [m, rad], shape (k, 6); None: not
+            told.
     """
 
     residual: Array
     by: Array
     noise: Array
+    by_pose: Array | None = None
 
 
 class MeasurementModels:
@@ -99,4 +102,5 @@ class MeasurementModels:
             residual=np.concatenate([position - state.position, turn]),
             by=state.pose_by(),
             noise=np.diag(self._poses) + rigid @ rigid.T,
+            by_pose=np.eye(6),
         )

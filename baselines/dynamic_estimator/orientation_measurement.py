@@ -35,10 +35,11 @@ def measured_attitude(
     nearest = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
     headed = pinocchio.exp3(np.array([0.0, 0.0, nearest])) @ sensor
     off = pinocchio.log3(np.ascontiguousarray(headed.T @ measured))
-    by, noise = _by_turn(state, settings, sensor, np.eye(3))
-    by[:, state.errors.heading] = headed[2][:, None]  # its z in the frame of the sensor
     ahead = float(wrapped_angle(np.asarray(nearest - state.heading)))
-    return LinearisedMeasurement(residual=off + ahead * headed[2], by=by, noise=noise)
+    up = headed[2]  # in the frame of the sensor
+    linear = _by_turn(off + ahead * up, state, settings, sensor, np.eye(3))
+    linear.by[:, state.errors.heading] = up[:, None]
+    return linear
 
 
 def measured_inclination(
@@ -56,8 +57,7 @@ def measured_inclination(
     expected = roll_and_pitch(sensor[None])[0]
     (sin, cos), tan = (f(expected[0]) for f in (np.sin, np.cos)), np.tan(expected[1])
     rates = np.array([[1.0, tan * sin, tan * cos], [0.0, cos, -sin]])
-    by, noise = _by_turn(state, settings, sensor, rates)
-    return LinearisedMeasurement(wrapped_angle(inclination - expected), by, noise)
+    return _by_turn(wrapped_angle(inclination - expected), state, settings, sensor, rates)
 
 
 def _in_world(state: DynamicFilterState) -> Array:
@@ -67,18 +67,24 @@ def _in_world(state: DynamicFilterState) -> Array:
 
 
 def _by_turn(
-    state: DynamicFilterState, settings: DynamicEstimatorSettings, sensor: Array, rates: Array
-) -> tuple[Array, Array]:
-    """Return the change of a reading per error, shape (k, size), and its noise, shape (k, k).
+    residual: Array,
+    state: DynamicFilterState,
+    settings: DynamicEstimatorSettings,
+    sensor: Array,
+    rates: Array,
+) -> LinearisedMeasurement:
+    """Linearise a reading of how a sensor is turned, of any heading.
 
     Args:
+        residual: Measured minus expected, shape (k,).
         state: The estimate.
         settings: Noise.
         sensor: Rotation from its frame to W, shape (3, 3).
         rates: Change of the reading per rotation vector in its frame, shape (k, 3).
     """
-    where, by_turn = state.errors, rates @ sensor.T  # of a rotation vector in W
-    by = by_turn @ state.pose_by()[3:]
-    by[:, where.mounting] = rates
-    stretched = settings.stretch_deviation * by_turn @ state.sway.slaved[3:]
-    return by, settings.attitude_noise**2 * np.eye(len(rates)) + stretched @ stretched.T
+    by_pose = np.hstack([np.zeros_like(rates), rates @ sensor.T])
+    by = by_pose @ state.pose_by()
+    by[:, state.errors.mounting] = rates
+    stretched = settings.stretch_deviation * by_pose @ state.sway.slaved
+    own = settings.attitude_noise**2 * np.eye(len(rates))
+    return LinearisedMeasurement(residual, by, own + stretched @ stretched.T, by_pose)

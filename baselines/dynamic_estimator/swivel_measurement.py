@@ -40,4 +40,5 @@ def measured_swivels(
         residual=wrapped_angle(angle - expected)[pulleys],
         by=by,
         noise=settings.swivel_noise**2 * np.eye(len(pulleys)) + stretched @ stretched.T,
+        by_pose=by_pose,
     )

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.filter import READING_CHANNELS, DynamicFilter, InnovationTally
+from baselines.dynamic_estimator.filter import DynamicFilter, InnovationTally
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
+from baselines.dynamic_estimator.reading_models import READING_MODELS
 from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.length_readings import (
@@ -59,7 +60,7 @@ class TimedReading(NamedTuple):
     """A reading of load cells, swivel encoders, an AHRS or an inclinometer.
 
     Attributes:
-        channel: One of `READING_CHANNELS`.
+        channel: One of `READING_MODELS`.
         time: [s].
         value: As `Measurement` has it, without its batch.
     """
@@ -283,7 +284,7 @@ class Tracker:
             "tension": s.load_cells, "swivel_angle": s.swivels, "attitude": s.attitude,
             "inclination": s.attitude and measurement.attitude is None,
         }  # fmt: skip
-        return [channel for channel in READING_CHANNELS if used[channel]]
+        return [channel for channel in READING_MODELS if used[channel]]
 
     def _posed(
         self, state: DynamicFilterState, pose: TimedPose

@@ -6,6 +6,7 @@ can be scored, and where an inertial measurement begins and ends.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from baselines.smoother.settings import SmootherSettings, smoother_settings_for
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
-from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.loop.values import Pose, Stamped
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
@@ -50,6 +51,7 @@ class ArrangedRecording:
         samples: Key frame of each length sample, shape (N,).
         felt: By the IMU, of the key frames that end a step of it.
         poses: Measured, of the key frames where they are used: position (3,) and rotation (3, 3).
+        readings: Of swivel angles, AHRS or inclinometer, by the key frame and the channel.
         used: Which poses of the recording are used, shape (M,).
         outliers: Length samples that were not believed.
         pose_gap: Longest time between two poses that are interpolated [s].
@@ -64,6 +66,7 @@ class ArrangedRecording:
     samples: NDArray[np.int64]
     felt: dict[int, ImuMean]
     poses: dict[int, tuple[Array, Array]]
+    readings: dict[int, dict[str, Array]]
     used: NDArray[np.bool_]
     outliers: int
     pose_gap: float
@@ -129,8 +132,8 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
             poses where they are to be used.
     """
     recording.require_cables(robot)
-    settings = smoother_settings_for(robot, settings)
     run = calibrated(recording, robot)
+    settings = smoother_settings_for(robot, _heard(run, settings))
     _check(run, settings)
     kept, outliers = _believed(run, robot, settings)
     first, last = float(run.time[0]), float(run.time[-1])
@@ -142,12 +145,14 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
         when = run.poses.time if used.any() else run.poses.time[:0]
         stops.append(when[(when >= first) & (when <= last)])
     stops.append(np.array([when for when, _ in groups]))
+    known = settings.dynamics.delay
+    known = robot.length_delay if known is None else known
+    angles = _angles(run, settings, known or 0.0, first, last)
+    stops += [channel.time for channel in angles.values()]
     time = _apart(np.sort(np.concatenate(stops)))
     step = IMU_STEP_MAX.of(ratios)
     begins = [when - step for when, _ in groups if when - _previous(time, when) > step]
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
-    known = settings.dynamics.delay
-    known = robot.length_delay if known is None else known
     return ArrangedRecording(
         recording=run,
         settings=settings,
@@ -158,10 +163,49 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
         samples=nearest(time, run.time),
         felt={int(nearest(time, np.array([t]))[0]): felt for t, felt in groups},
         poses=_poses(run, used, time),
+        readings=_readings(angles, time),
         used=used,
         outliers=outliers,
         pose_gap=POSE_GAP_MAX.of(ratios),
     )
+
+
+def _heard(run: Recording, settings: SmootherSettings) -> SmootherSettings:
+    """Return settings whose dynamics know which angles are used."""
+    rotates = run.attitude is not None or run.inclination is not None
+    swivels = settings.angles and run.swivel_angle is not None
+    dynamics = replace(settings.dynamics, swivels=swivels, attitude=settings.angles and rotates)
+    return replace(settings, dynamics=dynamics)
+
+
+def _angles(
+    run: Recording, settings: SmootherSettings, delay: float, first: float, last: float
+) -> dict[str, Stamped]:
+    """Return swivel angles and the orientation by AHRS or else inclinometer, as far as used.
+
+    Swivel encoders share the clock of the lengths, which lead by a `delay` [s].
+    """
+    channels = {"swivel_angle": run.swivel_angle, "attitude": run.attitude}
+    if run.attitude is None:
+        channels["inclination"] = run.inclination
+    found = {}
+    for name, channel in channels.items():
+        if channel is None or not settings.angles:
+            continue
+        time = channel.time + (delay if name == "swivel_angle" else 0.0)
+        inside = (time >= first) & (time <= last)
+        if inside.any():
+            found[name] = Stamped(time=time[inside], value=channel.value[inside])
+    return found
+
+
+def _readings(angles: Mapping[str, Stamped], time: Array) -> dict[int, dict[str, Array]]:
+    """Return readings by key frame and channel; of several at one key frame the last counts."""
+    readings: dict[int, dict[str, Array]] = {}
+    for name, channel in angles.items():
+        for key, value in zip(nearest(time, channel.time), channel.value, strict=True):
+            readings.setdefault(int(key), {})[name] = value
+    return readings
 
 
 def _check(run: Recording, settings: SmootherSettings) -> None:

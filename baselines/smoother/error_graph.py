@@ -1,9 +1,9 @@
 """The factor graph: errors of all key frames from all that was measured, with gtsam.
 
 Variables are what changes, at each key frame, and one of what is constant: mass, centre of mass,
-the biases of the IMU, and the delay where it is among the errors. Factors are the start, the
-dynamics from key frame to key frame, poses and inertial samples, linear in the errors of a forward
-pass.
+the errors of the sensors, and the delay where it is among the errors. Factors are the start, the
+dynamics from key frame to key frame, poses, angles and inertial samples, linear in the errors of a
+forward pass.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from baselines.smoother.forward_pass import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
+Weights = Mapping[tuple[int, str], float]
 WHOLE_RECORDING_S = 1e12
 KNOWN_DEVIATION_RATIO = 1e-4  # of the scale of an error: what counts as known
 
@@ -59,14 +60,14 @@ class ErrorGraph:
         self._start = start + np.diag((KNOWN_DEVIATION_RATIO * scale) ** 2)
 
     def solve(
-        self, passed: ForwardPass, time: Array, weight: Mapping[int, float], lag: float | None
+        self, passed: ForwardPass, time: Array, weight: Weights, lag: float | None
     ) -> GraphSolution:
         """Find the errors.
 
         Args:
             passed: The forward pass about which they are.
             time: Of its key frames [s], shape (K,).
-            weight: Of poses, by key frame.
+            weight: Of poses and angles, by key frame and channel.
             lag: [s]; None: all at once.
 
         Raises:
@@ -102,7 +103,7 @@ class ErrorGraph:
         smoother: Any,
         passed: ForwardPass,
         time: Array,
-        weight: Mapping[int, float],
+        weight: Weights,
         new: range,
     ) -> None:
         """Add key frames to the smoother."""
@@ -119,8 +120,8 @@ class ErrorGraph:
                 graph.push_back(self._moves(k, link.carry, link.noise, passed.corrections[k]))
                 if link.felt is not None:
                     graph.push_back(self._said(k - 1, link.felt, 1.0))
-            if k in passed.poses:
-                graph.push_back(self._said(k, passed.poses[k], weight.get(k, 1.0)))
+            for channel, said in passed.said.get(k, {}).items():
+                graph.push_back(self._said(k, said, weight.get((k, channel), 1.0)))
             values.insert(_key(k), np.zeros(len(self.changing)))
             stamps[_key(k)] = float(time[k])
         smoother.update(graph, values, stamps)

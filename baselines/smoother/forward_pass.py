@@ -14,9 +14,11 @@ from baselines.dynamic_estimator.measurement_models import (
     MeasurementModels,
 )
 from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.reading_models import READING_MODELS
 from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import wrapped_angle
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.motion.length_curve import LENGTH_SEGMENT_MAX, segment_ends
 from carosac_toolkit.physics.scales import Scales
@@ -28,6 +30,7 @@ SWAY_RATE_SCALE = Scaled(3.0, "1/s")  # of the errors of its speed, over those
 KNOWN_CENTER_SCALE, KNOWN_LENGTH_SCALE = Scaled(0.01, "m"), Scaled(7e-3, "m")
 KNOWN_RATE_SCALE, KNOWN_FORCE_SCALE = Scaled(5e-3, "rad/s"), Scaled(0.05, "m/s^2")
 KNOWN_WIND_SCALE, KNOWN_LOG_MASS_SCALE = Scaled(1.0, "N"), 0.03
+KNOWN_ANGLE_SCALE = 1e-3  # [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,14 +59,14 @@ class ForwardPass:
         states: At each key frame, corrections included; their covariance means nothing.
         corrections: What was added to each, shape (K, size): to the first, against rest.
         links: K - 1 of them.
-        poses: What measured poses say, by key frame.
+        said: What poses and angles say, by key frame and channel; ``pose`` is that of poses.
     """
 
     delay: float
     states: list[DynamicFilterState]
     corrections: Array
     links: list[KeyFrameLink]
-    poses: dict[int, LinearisedMeasurement]
+    said: dict[int, dict[str, LinearisedMeasurement]]
 
 
 class ForwardModel:
@@ -114,13 +117,31 @@ class ForwardModel:
                 added[k, :size] = missing(state, wanted[k])
                 state = state.corrected(added[k, :size], state.covariance)
             states.append(state)
-        poses = {
-            k: widened(self._sensors.pose(states[k], *pose), -states[k].twist)
-            for k, pose in sorted(self._measured.poses.items())
-        }
+        heard = sorted({*self._measured.poses, *self._measured.readings})
         return ForwardPass(
-            delay=delay, states=states, corrections=added, links=_delayed(links, time), poses=poses
-        )
+            delay=delay, states=states, corrections=added, links=_delayed(links, time),
+            said={k: self._said(k, states[k], delay) for k in heard},
+        )  # fmt: skip
+
+    def _said(
+        self, k: int, state: DynamicFilterState, delay: float
+    ) -> dict[str, LinearisedMeasurement]:
+        """Return what a pose and angles say of a state at key frame k, by channel.
+
+        Swivel encoders share the clock of the lengths: their readings are late by the same delay.
+        """
+        said, pose = {}, self._measured.poses.get(k)
+        if pose is not None:
+            said["pose"] = widened(self._sensors.pose(state, *pose), -state.twist)
+        for channel, value in self._measured.readings.get(k, {}).items():
+            shared = channel == "swivel_angle"
+            there = shifted(state, self._measured.delay - delay) if shared else state
+            model = READING_MODELS[channel]
+            told = model(self._model.robot, there, value, self._settings.dynamics)
+            assert told.by_pose is not None
+            late = np.zeros(len(value)) if shared else -told.by_pose @ state.twist
+            said[channel] = widened(told, late[: len(told.residual)])
+        return said
 
     def _to(
         self, state: DynamicFilterState, end: float, felt: ImuMean | None, delay: float
@@ -161,7 +182,7 @@ class ForwardModel:
 
 
 def widened(measurement: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
-    """Add the delay's column: the change per second (6,) by which it is longer."""
+    """Add the delay's column: the change per second (k,) by which it is longer."""
     return measurement._replace(by=np.column_stack([measurement.by, late]))
 
 
@@ -211,6 +232,11 @@ def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
     errors[where.mass] = wanted.log_mass - state.log_mass
     errors[where.center] = wanted.center - state.center
     errors[where.imu] = wanted.imu_bias - state.imu_bias
+    errors[where.swivels] = wanted.swivel_offset - state.swivel_offset
+    if state.mounting is not None and wanted.mounting is not None:
+        mounted = np.ascontiguousarray(state.mounting.T @ wanted.mounting)
+        errors[where.mounting] = pinocchio.log3(mounted)
+        errors[where.heading] = wrapped_angle(np.array([wanted.heading - state.heading]))
     return errors
 
 
@@ -231,4 +257,7 @@ def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
         ],
         3,
     )
+    scale[where.swivels] = s.swivel_offset or KNOWN_ANGLE_SCALE
+    scale[where.mounting] = s.attitude_mounting or KNOWN_ANGLE_SCALE
+    scale[where.heading] = s.attitude_heading or KNOWN_ANGLE_SCALE
     return np.append(scale, settings.delay)

@@ -10,6 +10,11 @@ from carosac_toolkit.base.tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
 IMPLAUSIBLE_DEVIATIONS = 3.0  # sigma
+ANGLE_NAMES = {
+    "swivel_angle": "readings of swivel angles",
+    "attitude": "orientations by an AHRS",
+    "inclination": "readings of an inclinometer",
+}
 PHASE_NAMES = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
 
 
@@ -78,6 +83,11 @@ def _used(result: Smoothed) -> str:
     parts = ["lengths"]
     if result.inertial:
         parts.append(f"{result.inertial} inertial measurements")
+    parts += [
+        f"{result.readings[name]} {what}"
+        for name, what in ANGLE_NAMES.items()
+        if result.readings.get(name)
+    ]
     if result.poses:
         parts.append(f"{result.poses} measured poses")
     lag = result.settings.lag

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -48,6 +49,8 @@ class Smoothed:
         converged: Whether that is within the tolerance.
         inertial: Inertial measurements that were used.
         poses: Measured poses that were used.
+        readings: Number of swivel angles, and orientations by an AHRS or inclinometer, that were
+            used, by channel.
         doubted: Those of them that are so far off that they count less than half.
         outliers: Length samples that were not believed.
         misfits: What shows that the robot does not belong to the recording.
@@ -81,6 +84,7 @@ class Smoothed:
     converged: bool
     inertial: int
     poses: int
+    readings: Mapping[str, int]
     doubted: int
     outliers: int
     misfits: tuple[str, ...]
@@ -118,6 +122,7 @@ class Smoothed:
             "passes": self.passes,
             "change_m": self.change,
             "inertial_measurements": self.inertial,
+            "angle_measurements": dict(self.readings),
             "poses": {"treatment": self.settings.poses, "used": self.poses,
                       "doubted": self.doubted},
             "length_outliers": self.outliers,

@@ -32,6 +32,7 @@ class SmootherSettings:
         poses: Measured poses: ``withheld``; every second one, the ``half`` of them, the others to
             score with; or all ``used``.
         imu: Whether inertial samples are used.
+        angles: Whether swivel angles are used, and the orientation by an AHRS or an inclinometer.
         lag: An estimate rests on what is measured up to so much later, at least [s]; None: on the
             whole recording.
         iterations: Forward passes at most.
@@ -45,6 +46,7 @@ class SmootherSettings:
 
     poses: str = "withheld"
     imu: bool = True
+    angles: bool = True
     lag: float | None = None
     iterations: int = 12
     tolerance: float = Scaled(2e-4, "m")

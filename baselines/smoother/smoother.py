@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -139,7 +140,7 @@ class _LastPass:
     graph: ErrorGraph
     passed: ForwardPass
     solution: GraphSolution
-    weight: dict[int, float]
+    weight: dict[tuple[int, str], float]
     passes: int
     change: float
     settled: bool
@@ -167,17 +168,22 @@ def _rest(
 
 def _solved(
     graph: ErrorGraph, passed: ForwardPass, measured: ArrangedRecording, settings: SmootherSettings
-) -> tuple[GraphSolution, dict[int, float]]:
-    """Solve for the errors, with poses that are far off weighing less."""
+) -> tuple[GraphSolution, dict[tuple[int, str], float]]:
+    """Solve for the errors, with poses and angles that are far off weighing less."""
     import gtsam
 
     huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_DEVIATIONS)
-    weight = dict.fromkeys(passed.poses, 1.0)
+    said = {
+        (k, channel): each
+        for k, channels in passed.said.items()
+        for channel, each in channels.items()
+    }
+    weight = dict.fromkeys(said, 1.0)
     for _ in range(REWEIGHTINGS_MAX):
         solution = graph.solve(passed, measured.time, weight, settings.lag)
         before, weight = weight, {
-            k: float(huber.weight(_distance(measurement, solution.error[k])))
-            for k, measurement in passed.poses.items()
+            key: float(huber.weight(_distance(measurement, solution.error[key[0]])))
+            for key, measurement in said.items()
         }  # fmt: skip
         if all(abs(weight[k] - before[k]) <= WEIGHT_TOLERANCE for k in weight):
             break
@@ -275,7 +281,8 @@ def _result(
         converged=last_pass.settled,
         inertial=len(measured.felt),
         poses=len(measured.poses),
-        doubted=sum(value < 0.5 for value in last_pass.weight.values()),
+        readings=Counter(name for each in measured.readings.values() for name in each),
+        doubted=sum(value < 0.5 for (_, name), value in last_pass.weight.items() if name == "pose"),
         outliers=measured.outliers,
         misfits=misfits,
         measured=wanted,

@@ -36,7 +36,7 @@ from carosac_toolkit.loop.plugins import load
         (["robots", "--zzz"], "allowed: --help, --json, --seed"),
         (["workspace", "carosac", "--lower", "1", "2"], "--lower: got '1 2'; allowed: X Y Z"),
         (["view", "scampy"], "or a study's folder; did you mean 'scampi'?"),
-        (["run", "--sensors", "lenghts"], "--sensors: got 'lenghts'; allowed: one of ['lengths'"),
+        (["run", "--sensors", "lenghts"], "--sensors: got 'lenghts'; allowed: 'lengths', then any"),
         (["run", "--output", "x.csv"], "--output: got 'x.csv'; allowed: a file name ending in"),
         (["run", "--to", "9", "9", "9"], "allowed: (-1.6, -3.8, 1) to (2.4, 0.2, 5) m"),
         (["compare", "--trajectories"], "trajectories: got none; allowed: one or more different"),

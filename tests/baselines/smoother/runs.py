@@ -9,7 +9,7 @@ import numpy as np
 import carosac_toolkit as ct
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.consistency import state_error
-from carosac_toolkit.loop.values import Belief, Command, Imu, State
+from carosac_toolkit.loop.values import Belief, Command, Imu, Stamped, State
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from sim_warp.driver import SimDriver, SimDriverSettings
@@ -17,7 +17,9 @@ from sim_warp.driver import SimDriver, SimDriverSettings
 PERIOD = 0.01  # [s]
 
 
-def swing(plant, *, sensors=None, seed=0, wind=0.0, duration=3.0, every=5):
+def swing(
+    plant, *, sensors=None, seed=0, wind=0.0, duration=3.0, every=5, suite="lengths+imu+pose"
+):
     """Record a quick move that throws the platform into a swing.
 
     Returns:
@@ -26,7 +28,7 @@ def swing(plant, *, sensors=None, seed=0, wind=0.0, duration=3.0, every=5):
     driver = SimDriver.build(
         plant,
         SimDriverSettings(
-            suite="lengths+imu+pose", sensors=sensors or SensorSettings(), cables="catenary",
+            suite=suite, sensors=sensors or SensorSettings(), cables="catenary",
             wind_force=wind, period=PERIOD,
         ),
         seed=seed,
@@ -53,26 +55,46 @@ def _recording(heard, every):
     """What was heard, each by the time at which it was measured."""
     stamps = np.array([m.length_rate.time[0] for m, _ in heard])
     kept = [i for i in range(1, len(heard)) if stamps[i] > stamps[i - 1]][::every]
-    imu = [m.imu for m, _ in heard if m.imu is not None]
+    angles = {
+        name: _stamped([getattr(heard[i][0], name) for i in kept])
+        for name in ("swivel_angle", "attitude", "inclination")
+        if getattr(heard[0][0], name) is not None
+    }
     poses = [heard[i][0].pose for i in kept]
     recording = Recording(
         time=stamps[kept],
         unstrained_length=np.vstack([heard[i][0].unstrained_length for i in kept]),
-        imu=Imu(
-            time=np.concatenate([part.time[0] for part in imu]),
-            angular_rate=np.concatenate([part.angular_rate[0] for part in imu]),
-            specific_force=np.concatenate([part.specific_force[0] for part in imu]),
-        ),
+        imu=_imu([m.imu for m, _ in heard if m.imu is not None]),
         poses=PoseSamples.from_rotation(
             np.array([pose.time[0] for pose in poses]),
             np.vstack([pose.position for pose in poses]),
             np.vstack([pose.rotation for pose in poses]),
         ),
+        **angles,
     )
     when = np.array([truth.time[0] for _, truth in heard])
     rows = np.abs(when[:, None] - recording.time).argmin(axis=0)
     assert np.abs(when[rows] - recording.time).max() < 1e-6
     return recording, [heard[row][1] for row in rows]
+
+
+def _imu(parts):
+    """All inertial samples of one robot; None where there are none."""
+    if not parts:
+        return None
+    return Imu(
+        time=np.concatenate([part.time[0] for part in parts]),
+        angular_rate=np.concatenate([part.angular_rate[0] for part in parts]),
+        specific_force=np.concatenate([part.specific_force[0] for part in parts]),
+    )
+
+
+def _stamped(samples):
+    """A channel of samples of one robot."""
+    return Stamped(
+        time=np.concatenate([each.time for each in samples]),
+        value=np.vstack([each.value for each in samples]),
+    )
 
 
 def errors_of(smoothed, truths):

@@ -34,15 +34,18 @@ def linear():
             residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
         )
         links.append(KeyFrameLink(carry=carry, noise=noise, felt=felt))
-    poses = {
-        k: LinearisedMeasurement(
-            residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
-        )
+    said = {
+        k: {
+            name: LinearisedMeasurement(
+                residual=rng.normal(size=m), by=rng.normal(size=(m, size)), noise=covariance(m, 1.0)
+            )
+            for name, m in (("pose", 6), ("attitude", 3))
+        }
         for k in range(0, COUNT, 4)
     }
     corrections = 0.1 * rng.normal(size=(COUNT, size))
     corrections[1:, fixed] = 0.0
-    passed = ForwardPass(delay=0.0, states=[], corrections=corrections, links=links, poses=poses)
+    passed = ForwardPass(delay=0.0, states=[], corrections=corrections, links=links, said=said)
     return errors, covariance(size, 1.0), passed
 
 
@@ -57,8 +60,8 @@ def rauch_tung_striebel(start, passed):
     before, after = [], []
     for k in range(COUNT):
         before.append((mean, matrix))
-        if k in passed.poses:
-            mean, matrix = heard(mean, matrix, passed.poses[k])
+        for said in passed.said.get(k, {}).values():
+            mean, matrix = heard(mean, matrix, said)
         if k < COUNT - 1:
             link = passed.links[k]
             mean, matrix = heard(mean, matrix, link.felt)
@@ -118,7 +121,7 @@ def test_a_measurement_of_no_weight_is_not_there(linear):
     graph = ErrorGraph(errors, np.ones(errors.size), start)
     gone = ForwardPass(
         delay=0.0, states=[], corrections=passed.corrections, links=passed.links,
-        poses={k: said for k, said in passed.poses.items() if k != 8},
+        said={k: said for k, said in passed.said.items() if k != 8},
     )  # fmt: skip
-    left = graph.solve(passed, TIME, {8: 1e-12}, None)
+    left = graph.solve(passed, TIME, dict.fromkeys(((8, "pose"), (8, "attitude")), 1e-12), None)
     assert left.error == pytest.approx(graph.solve(gone, TIME, {}, None).error, abs=1e-5)

@@ -15,8 +15,10 @@ from baselines.smoother import SmootherSettings, smooth
 from baselines.smoother.arranged_recording import arrange
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.rotations import roll_and_pitch, to_matrix
 from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.consistency import band, normalised_square
+from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
 from tests.baselines.smoother.runs import errors_of, filtered, rms, swing
@@ -76,6 +78,49 @@ def test_its_covariance_holds_where_the_model_is_right(noisy, robot, with_poses)
         errors = errors_of(found, noisy[1])
         assert low < normalised_square(errors[:, :6], found.covariance[:, :6, :6]).mean() < high
         assert low < normalised_square(errors, found.covariance).mean() < high
+
+
+@pytest.fixture(scope="module")
+def angles():
+    """A robot with pulleys, a run of it with swivel angles and an AHRS, and its truth."""
+    carosac = ct.load_robot("carosac")
+    robot = replace(carosac, pulley_radius=np.full(carosac.n, 0.05))
+    suite = "lengths+pose+swivel+attitude"
+    return robot, *swing(robot, seed=3, wind=3.0, duration=3.0, suite=suite)
+
+
+@pytest.mark.parametrize("channel", ["swivel_angle", "attitude", "inclination"])
+def test_angles_put_the_motion_right(angles, channel):
+    robot, recording, truths = angles
+    tilt = Stamped(
+        time=recording.attitude.time, value=roll_and_pitch(to_matrix(recording.attitude.value))
+    )
+    others = {name: None for name in ("swivel_angle", "attitude") if name != channel}
+    changed = {"inclination": tilt} if channel == "inclination" else {}
+    found = smooth(replace(recording, **others, **changed), robot, settings())
+    alone = smooth(recording, robot, settings(angles=False))
+    assert found.converged and found.readings == {channel: len(recording.time)}
+    assert not alone.readings
+    errors, before = errors_of(found, truths), errors_of(alone, truths)
+    assert rms(errors) < 0.7 * rms(before)
+    assert rms(errors[:, 6:]) < 0.8 * rms(before[:, 6:])
+    low, high = band(6)
+    assert low < normalised_square(errors[:, :6], found.covariance[:, :6, :6]).mean() < high
+
+
+def test_a_delay_that_is_not_known_is_told_by_an_ahrs_and_not_by_swivel_angles(angles):
+    """These share the clock of the lengths."""
+    robot, recording, _ = angles
+    late = 0.02
+    by_swivel = replace(
+        recording, attitude=None, time=recording.time - late,
+        swivel_angle=replace(recording.swivel_angle, time=recording.swivel_angle.time - late),
+    )  # fmt: skip
+    found = smooth(by_swivel, robot, settings(delay=0.03))
+    assert found.delay_sigma == pytest.approx(0.03, rel=0.02)
+    both = smooth(replace(by_swivel, attitude=recording.attitude), robot, settings(delay=0.03))
+    assert both.delay_sigma < 0.01
+    assert both.delay == pytest.approx(late, abs=3.0 * both.delay_sigma)
 
 
 def test_poses_that_were_not_used_are_met_to_their_noise(noisy, robot):
