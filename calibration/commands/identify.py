@@ -24,7 +24,7 @@ from typing import Annotated
 
 import tyro
 
-from calibration.identification.effects import remaining_effects
+from calibration.identification.effects import effects_sentence, remaining_effects
 from calibration.identification.frequencies import load_frequencies
 from calibration.identification.procedure import identify, identify_runs
 from calibration.identification.report import report_content
@@ -137,11 +137,10 @@ def run(options: Options) -> CommandResult:
         ranges = ["--held-out", *options.held_out] if options.held_out else []
         fitted = names[0] if count == 1 else f"{count} recordings, {names[0]} to {names[count - 1]}"
     beside = f" and {Path(options.frequencies).name}" if options.frequencies else ""
-    worst = result.worst
-    found = remaining_effects(recordings[worst], result, result.runs[worst])
+    found = remaining_effects(recordings, result)
     effects = found if isinstance(found, ResidualEffects) else None
     print()
-    _print(result, effects)
+    _print(result, found)
     ranges += ["--frequencies", options.frequencies] if options.frequencies else []
     ranges += ["--candidates", *candidates] if candidates else []
     ranges += ["--free", *options.free] if options.free else []
@@ -153,7 +152,7 @@ def run(options: Options) -> CommandResult:
         folder,
         f"Identification of {result.robot.name}",
         result,
-        report_content(result, recordings, effects),
+        report_content(result, recordings, found),
         provenance=_provenance(options, recordings, robot_source),
         command=command,
     )
@@ -231,12 +230,12 @@ class _Steps:
         )
 
 
-def _print(result: Identification, effects: ResidualEffects | None) -> None:
-    """Print what was found."""
+def _print(result: Identification, effects: ResidualEffects | str) -> None:
+    """Print what was found, and what the error looks like, or why that cannot be told."""
     print_parameters(result.estimate)
     print()
-    left = [] if effects is None else [effects.sentence("the identified robot")]
-    print_sentences([*result.sentences(), *left, *result.observability.sentences()])
+    left = effects_sentence(effects)
+    print_sentences([*result.sentences(), left, *result.observability.sentences()])
 
 
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:

@@ -2,32 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration.identification.result import Identification, IdentifiedRun
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import turn_between
-from carosac_toolkit.validation.residual_effects import ResidualEffects, residual_effects
+from carosac_toolkit.validation.residual_effects import (
+    ResidualEffects,
+    SimulatedRun,
+    residual_effects,
+)
 
 
 def remaining_effects(
-    recording: Recording, result: Identification, run: IdentifiedRun
+    recordings: Sequence[Recording], result: Identification
 ) -> ResidualEffects | str:
-    """Tell which effects the open-loop error of an identified robot looks like in one recording.
+    """Tell which effects the open-loop errors of an identified robot look like.
 
     Args:
-        recording: As it was recorded.
+        recordings: As they were recorded, in the order of the result.
         result: The identification.
-        run: What it says of this recording.
 
     Returns:
         Why not, where they cannot be told.
     """
     turn = turn_between(result.before, result.robot)
+    try:
+        runs = [
+            _simulated(calibrated(recording, result.robot), run, turn)
+            for recording, run in zip(recordings, result.runs, strict=True)
+        ]
+        return residual_effects(result.robot, runs)
+    except CarosacError as error:
+        return str(error)
+
+
+def effects_sentence(effects: ResidualEffects | str) -> str:
+    """Say what the error looks like, or why that cannot be told."""
+    if isinstance(effects, ResidualEffects):
+        return effects.sentence("the identified robot")
+    return f"What the error of the identified robot looks like cannot be told: {effects}."
+
+
+def _simulated(recording: Recording, run: IdentifiedRun, turn: Array) -> SimulatedRun:
+    """Return a recording with its poses, in the frame of the identified robot.
+
+    Args:
+        recording: As calibrated.
+        run: What the identification says of it.
+        turn: From the frame before to that of the identified robot, shape (3, 3).
+    """
     poses, errors = run.measured, run.errors
     rotation = poses.rotation @ Rotation.from_rotvec(errors[:, 3:]).as_matrix()
     measured, modelled = (
@@ -37,8 +68,4 @@ def remaining_effects(
             (poses.position + errors[:, :3], rotation),
         )
     )
-    try:
-        material = calibrated(recording, result.robot)
-        return residual_effects(material, result.robot, poses.time, measured, modelled)
-    except CarosacError as error:
-        return str(error)
+    return SimulatedRun(recording=recording, time=poses.time, measured=measured, modelled=modelled)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
 import numpy as np
 
+from calibration.identification.effects import effects_sentence
 from calibration.identification.frequencies import FREQUENCY_HEADER
 from calibration.identification.pictures import draw_motion, draw_rests, draw_runs
 from calibration.identification.result import Identification, ScoredRange
@@ -41,14 +43,14 @@ def score_rows(result: Identification) -> Rows:
 
 
 def report_content(
-    result: Identification, recordings: Sequence[Recording], effects: ResidualEffects | None
+    result: Identification, recordings: Sequence[Recording], effects: ResidualEffects | str
 ) -> ReportContent:
     """Return tables and pictures of the report on an identification from recordings.
 
     Args:
         result: The identification.
         recordings: In the order of its runs.
-        effects: What the error of its worst recording looks like; None: not known.
+        effects: What the errors of its recordings look like, or why that cannot be told.
     """
     worst = result.worst
     images = {
@@ -73,10 +75,10 @@ def report_content(
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
         "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)
     )
-    left = ""
-    if effects is not None:
-        shares = table(EFFECT_HEADER, effect_rows(effects), left=1)
-        left = f"<h2>What the remaining error looks like</h2>{EFFECTS_TEXT}{shares}"
+    left = f"<p>{escape(effects_sentence(effects))}</p>"
+    if isinstance(effects, ResidualEffects):
+        left = EFFECTS_TEXT + table(EFFECT_HEADER, effect_rows(effects), left=1)
+    left = f"<h2>What the remaining error looks like</h2>{left}"
     found, frequencies = result.frequencies, ""
     if found is not None:
         frequencies = "<h2>Natural frequencies</h2>" + table(FREQUENCY_HEADER, found.rows(), left=1)

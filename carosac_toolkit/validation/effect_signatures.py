@@ -55,6 +55,7 @@ EFFECTS = (
     "delay", "sway phase", "damping law", "hysteresis", "tilt", "centre of mass",
     "length offset or scale",
 )  # fmt: skip
+START = "start"  # a sway phase of one recording
 CENTER_EFFECTS = ("centre of mass", "centre of mass", "sway phase")  # x, y; z tunes the sway
 
 
@@ -65,11 +66,13 @@ class Signatures:
     Attributes:
         motion: For each effect, columns of positions in W [m] and rotation vectors in W times the
             lever arm of the platform [m], shape (K, 6, c).
+        start: The same of sways and their speeds at the start, shape (K, 6, 2 m).
         speed: Rate of the simulated motion, in the same measures [m/s], shape (K, 6).
         lever: Lever arm [m].
     """
 
     motion: dict[str, Array]
+    start: Array
     speed: Array
     lever: float
 
@@ -129,7 +132,7 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         twist + np.array([each.twist for each in variants]),
     )
     position, rotation = motion.position[rows], motion.rotation[rows]
-    columns: dict[str, list[Array]] = {name: [] for name in EFFECTS}
+    columns: dict[str, list[Array]] = {name: [] for name in (*EFFECTS, START)}
     for b, each in enumerate(variants[1:], start=1):
         there = position[:, b] @ each.back.T - position[:, 0]
         turned = each.back @ rotation[:, b] @ rotation[:, 0].swapaxes(1, 2)
@@ -143,8 +146,10 @@ def effect_signatures(recording: Recording, robot: Robot, time: Array, pose: Pos
         raise CarosacError("the motion by an effect is not finite")
     arm = lever(robot)
     arms = np.repeat([1.0, arm], 3)
+    begun = [each * arms for each in columns.pop(START)]
     return Signatures(
         motion={k: np.stack(v, axis=2) * arms[:, None] for k, v in columns.items() if v},
+        start=np.stack(begun, axis=2) if begun else np.zeros((len(time), 6, 0)),
         speed=rate * arms,
         lever=arm,
     )
@@ -183,13 +188,10 @@ def _variants(robot: Robot, length: Array, modes: _FreeModes) -> Iterator[_Varia
         yield _Variant(effect="damping law", robot=damped, length=length)
     size = modes.amplitude
     for shape, frequency in zip(modes.first.T, modes.frequency, strict=True):
+        yield _Variant(effect=START, robot=robot, length=length, move=STEP_SHARE * size * shape)
         yield _Variant(
-            effect="sway phase", robot=robot, length=length, move=STEP_SHARE * size * shape
+            effect=START, robot=robot, length=length, twist=STEP_SHARE * size * frequency * shape
         )
-        yield _Variant(
-            effect="sway phase", robot=robot, length=length,
-            twist=STEP_SHARE * size * frequency * shape,
-        )  # fmt: skip
 
 
 def _lengths(robot: Robot, length: Array) -> Iterator[_Variant]:

@@ -22,7 +22,11 @@ from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_contradictions
 from carosac_toolkit.validation.pose_noise import measured_pose_noise
-from carosac_toolkit.validation.residual_effects import ResidualEffects, residual_effects
+from carosac_toolkit.validation.residual_effects import (
+    ResidualEffects,
+    SimulatedRun,
+    residual_effects,
+)
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import (
@@ -290,7 +294,10 @@ def _effects(
     """Return the effects that the error of a model looks like, or why none can be told."""
     assert measured.time is not None and model.pose is not None
     try:
-        return residual_effects(recording, robot, measured.time, measured, model.pose)
+        run = SimulatedRun(
+            recording=recording, time=measured.time, measured=measured, modelled=model.pose
+        )
+        return residual_effects(robot, [run])
     except CarosacError as error:
         return str(error)
 

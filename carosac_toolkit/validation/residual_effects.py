@@ -1,7 +1,8 @@
 """Physical effects that the error of a simulation looks like, each with its share.
 
 The error is regressed on the signatures of the effects (`effect_signatures`), with priors on their
-sizes. What an effect explains is judged on stretches of the run that the regression did not see.
+sizes. What an effect explains is judged on stretches of the run that the regression did not see, or
+on others of several runs.
 Signatures resemble each other, so shares depend on an order: first comes the effect that explains
 most alone, then the one that adds most to it, and so on. What two effects could both explain thus
 counts for the one that explains more. Jitter of the stamps and noise of the sensors are white, and
@@ -10,8 +11,8 @@ have a share by their variance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.scaled import Ratios, Scaled
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
@@ -33,8 +34,11 @@ from carosac_toolkit.validation.quantities import say_length
 SAMPLES_MIN = 60  # fewer tell no effects apart
 DURATION_MIN = Scaled(15.0, "s")  # a shorter run shows too few swings
 RATE_MAX = Scaled(20.0, "Hz")  # of the samples that are used
-DURATION_MAX = Scaled(150.0, "s")  # of the run that is used, from its start
-STRETCHES = 10  # of the run: each is predicted from the others
+DURATION_MAX = Scaled(150.0, "s")  # of all runs that are used, of each from its start
+RUN_SAMPLES_MIN = 20  # of one of several runs; a shorter one tells little
+STRETCHES = 10  # of all runs, at least one of each: each is predicted from the others
+START_SIZE_MIN = 1e-6  # of the largest sway at the start that fits a run, to tell it from nothing
+SWAY_PHASE = "sway phase"
 SLOW_SHARE = 0.5  # of the samples, the slowest, that show the noise of the sensors alone
 NORMAL_SQUARE_MEDIAN = 0.4549  # median of the square of a standard normal number
 FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -130,57 +134,155 @@ def _percents(ends: tuple[float, float]) -> str:
     return f"{max(low, 0.0) * 100.0:.0f} to {max(high, 0.0):.0%}"
 
 
-def residual_effects(
-    recording: Recording, robot: Robot, time: Array, measured: Pose, modelled: Pose
-) -> ResidualEffects:
-    """Tell which effects the error of an open-loop simulation looks like.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedRun:
+    """A recording, and where an open-loop simulation of it leads.
 
-    Args:
+    Attributes:
         recording: As calibrated, n cables, with unstrained lengths.
-        robot: That was simulated.
         time: Increasing, within the lengths [s], shape (K,).
         measured: Poses at these times.
         modelled: Poses at these times, by a model that moves.
+    """
+
+    recording: Recording
+    time: Array
+    measured: Pose
+    modelled: Pose
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last pose [s]."""
+        return float(np.ptp(self.time)) if len(self.time) else 0.0
+
+
+def residual_effects(robot: Robot, runs: Sequence[SimulatedRun]) -> ResidualEffects:
+    """Tell which effects the errors of open-loop simulations look like.
+
+    Effects are of the robot, the same in all recordings. How each of several recordings starts is
+    fitted to its error first, and counts for nothing: a sway that is wrong from its start on is no
+    effect. In one recording it is a sway phase like others.
+
+    Args:
+        robot: That was simulated.
+        runs: Of recordings. Of many, some are used, the one with the largest error among them.
 
     Raises:
         CarosacError: Too few samples, or a robot that cannot rest on the lengths.
     """
     ratios = Scales(robot).ratios
-    some = _thinned(time, ratios)
-    time, least = time[some], DURATION_MIN.of(ratios)
-    duration = float(np.ptp(time)) if len(time) else 0.0
-    if len(time) < SAMPLES_MIN or duration < least:
+    used = _used(runs, DURATION_MAX.of(ratios), RATE_MAX.of(ratios))
+    least = DURATION_MIN.of(ratios)
+    samples, duration = sum(len(x.time) for x in used), sum(x.duration for x in used)
+    if samples < SAMPLES_MIN or duration < least:
         allowed = f"at least {SAMPLES_MIN} over {least:.3g} s, to tell effects apart"
-        raise InvalidField("samples", f"{len(time)} over {duration:.3g} s", allowed)
-    measured, modelled = (
-        Pose(position=pose.position[some], rotation=pose.rotation[some])
-        for pose in (measured, modelled)
-    )
-    signatures = effect_signatures(recording, robot, time, modelled)
-    error = _error(measured, modelled, signatures.lever)
+        raise InvalidField("samples", f"{samples} over {duration:.3g} s", allowed)
+    signed = [_signed(run, robot, alone=len(used) == 1) for run in used]
+    error = np.concatenate([x.error for x in signed])
+    speed = np.concatenate([x.speed for x in signed])
     square = float((error**2).sum(axis=1).mean())
     if not square > 0.0:
         return ResidualEffects(rms=0.0, shares={}, ranges={}, other=0.0, jitter=np.nan, noise=0.0)
-    regression = _Regression(signatures.motion, error)
+    regression = _Regression([x.motion for x in signed], [x.error for x in signed])
     shares, left = _shares(regression), regression.left(regression.names)
-    clocks = channel_clocks(recording, robot, ("poses",))
-    shift = clocks[0].shift if clocks else None
-    jitter = np.nan if shift is None else shift.jitter
-    speed = float((signatures.speed**2).sum(axis=1).mean())
-    noise = _white(left, signatures.speed)
+    jitter = _jitter([run.recording for run in used], robot)
+    noise = _white(left, speed)
+    pace = float((speed**2).sum(axis=1).mean())
     white = {
-        "jitter": min(float(np.nan_to_num(jitter)) ** 2 * speed / square, 1.0),
+        "jitter": min(float(np.nan_to_num(jitter)) ** 2 * pace / square, 1.0),
         "sensor": min(noise**2 / square, 1.0),
     }
     ranges = _ranges(regression) | {name: (share, share) for name, share in white.items()}
     return _result(float(np.sqrt(square)), shares | white, ranges, float(jitter), noise)
 
 
-def _thinned(time: Array, ratios: Ratios) -> NDArray[np.intp]:
-    """Return the rows of the samples that are used."""
-    bins = np.floor((time - time[0]) * RATE_MAX.of(ratios) + 1e-6)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Signed:
+    """The error of a run and the signatures of effects, beside its start.
+
+    Attributes:
+        error: Shape (K, 6).
+        motion: For each effect, columns (K, 6, c).
+        speed: Of the simulated motion, shape (K, 6).
+    """
+
+    error: Array
+    motion: dict[str, Array]
+    speed: Array
+
+
+def _signed(run: SimulatedRun, robot: Robot, *, alone: bool) -> _Signed:
+    """Return error and signatures of a run; if it is `alone`, its start is a sway phase."""
+    signatures = effect_signatures(run.recording, robot, run.time, run.modelled)
+    error = _error(run.measured, run.modelled, signatures.lever)
+    motion, start = dict(signatures.motion), signatures.start
+    if alone:
+        parts = [motion[SWAY_PHASE], start] if SWAY_PHASE in motion else [start]
+        if parts[-1].shape[2]:
+            motion[SWAY_PHASE] = np.concatenate(parts, axis=2)
+        return _Signed(error=error, motion=motion, speed=signatures.speed)
+    basis, sizes, _ = np.linalg.svd(start.reshape(error.size, -1), full_matrices=False)
+    basis = basis[:, sizes > START_SIZE_MIN * sizes.max(initial=0.0)]
+    return _Signed(
+        error=_beside(basis, error[:, :, None])[:, :, 0],
+        motion={name: _beside(basis, each) for name, each in motion.items()},
+        speed=signatures.speed,
+    )
+
+
+def _beside(basis: Array, columns: Array) -> Array:
+    """Return what an orthonormal basis (6 K, b) leaves of columns (K, 6, c)."""
+    flat = columns.reshape(len(basis), -1)
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(columns.shape))
+
+
+def _used(runs: Sequence[SimulatedRun], longest: float, rate: float) -> list[SimulatedRun]:
+    """Return the runs that are used, with as many poses as are.
+
+    Args:
+        runs: Of all recordings.
+        longest: Of all of them together [s].
+        rate: Of poses, at most [Hz].
+    """
+
+    def size(run: SimulatedRun) -> float:
+        away = run.modelled.position - run.measured.position
+        return float((away**2).mean()) if len(away) else 0.0
+
+    long = [run for run in runs if len(run.time) >= RUN_SAMPLES_MIN] or list(runs)
+    ordered = sorted(long, key=size, reverse=True)
+    typical = float(np.median([run.duration for run in ordered]))
+    count = len(ordered) if typical <= 0.0 else max(1, int(longest / typical))
+    chosen = [ordered[k] for k in evenly(len(ordered), count)]
+    each = longest / len(chosen)
+    return [_thinned(run, rate, each) for run in chosen]
+
+
+def _thinned(run: SimulatedRun, rate: float, longest: float) -> SimulatedRun:
+    """Return a run with poses of at most a rate [Hz], of a time from its start [s]."""
+    time = run.time
+    if not len(time):
+        return run
+    bins = np.floor((time - time[0]) * rate + 1e-6)
     first = np.flatnonzero(np.diff(bins, prepend=-1.0) > 0.0)
-    return np.asarray(first[time[first] - time[0] <= DURATION_MAX.of(ratios)])
+    some = first[time[first] - time[0] <= longest]
+    measured, modelled = (
+        Pose(position=pose.position[some], rotation=pose.rotation[some])
+        for pose in (run.measured, run.modelled)
+    )
+    return replace(run, time=time[some], measured=measured, modelled=modelled)
+
+
+def _jitter(recordings: Sequence[Recording], robot: Robot) -> float:
+    """Return the RMS jitter of single stamps [s]; NaN where it cannot be told."""
+    shifts = [
+        clocks[0].shift
+        for recording in recordings
+        if (clocks := channel_clocks(recording, robot, ("poses",)))
+    ]
+    known = np.array([shift.jitter for shift in shifts if shift is not None])
+    known = known[np.isfinite(known)]
+    return float(np.sqrt((known**2).mean())) if len(known) else np.nan
 
 
 def _result(
@@ -241,25 +343,36 @@ def _ranges(regression: _Regression) -> dict[str, tuple[float, float]]:
 class _Regression:
     """Ridge regressions of an error on effects, each stretch predicted from the others."""
 
-    def __init__(self, columns: dict[str, Array], error: Array) -> None:
-        count = len(error)
-        self.names = tuple(columns)
-        self._error = error
-        self._where = {}
-        first = 0
-        for name, each in columns.items():
-            self._where[name] = np.arange(first, first + each.shape[2])
-            first += each.shape[2]
-        self._basis = np.concatenate(list(columns.values()), axis=2)  # (K, 6, C)
-        edges = np.linspace(0, count, STRETCHES + 1).round().astype(int)
-        self._stretches = [np.arange(a, b) for a, b in pairwise(edges)]
+    def __init__(self, columns: Sequence[Mapping[str, Array]], errors: Sequence[Array]) -> None:
+        """Put runs one after another, each with its columns (K, 6, c) and its error (K, 6)."""
+        widths = {
+            name: max(each[name].shape[2] for each in columns if name in each)
+            for name in dict.fromkeys(name for each in columns for name in each)
+        }
+        self.names = tuple(widths)
+        edges = np.cumsum([0, *widths.values()])
+        self._where = {
+            name: np.arange(a, b) for name, (a, b) in zip(widths, pairwise(edges), strict=True)
+        }
+        self._error = np.concatenate(list(errors))
+        self._basis = np.zeros((len(self._error), 6, edges[-1]))
+        self._stretches = []
+        parts, first = max(1, round(STRETCHES / len(errors))), 0
+        for each, error in zip(columns, errors, strict=True):
+            rows = np.arange(first, first + len(error))
+            for name, own in each.items():
+                where = self._where[name][: own.shape[2]]
+                self._basis[np.ix_(rows, np.arange(6), where)] = own
+            ends = np.linspace(first, first + len(error), parts + 1).round().astype(int)
+            self._stretches += [np.arange(a, b) for a, b in pairwise(ends)]
+            first += len(error)
         basis = [self._basis[rows] for rows in self._stretches]
-        errors = [error[rows] for rows in self._stretches]
+        of_stretches = [self._error[rows] for rows in self._stretches]
         self._squares = np.array([np.einsum("kic,kid->cd", b, b) for b in basis])
         self._products = np.array(
-            [np.einsum("kic,ki->c", b, e) for b, e in zip(basis, errors, strict=True)]
+            [np.einsum("kic,ki->c", b, e) for b, e in zip(basis, of_stretches, strict=True)]
         )
-        self._sizes = np.array([(e**2).sum() for e in errors])
+        self._sizes = np.array([(e**2).sum() for e in of_stretches])
 
     def _ridge(self, rows: NDArray[np.intp]) -> float:
         """Return the variance of what some columns leave, errors that last counting for less.

@@ -135,11 +135,24 @@ def test_several_recordings_are_fitted_together_and_others_scored(run_file, tmp_
     assert data["train"]["recordings"] == 2 and data["test"]["start"] == 0
     assert [each["train"] is None for each in data["recordings"]] == [False, False, True]
     assert "2 recordings (fitted)" in printed
+    assert data["effects"]["rms_m"] > 0.0 and not data["effects_reason"]
+    assert "identified robot looks like, as shares" in " ".join(printed.split())
     assert "1 measured frequency: off by" in printed
     assert data["frequencies"]["measured_Hz"] == [0.45]
     page = Path("report/report.html").read_text()
     assert "Natural frequencies" in page and "--frequencies sway.csv" in page
     assert Path("report/recordings.png").is_file()
+
+
+def test_of_too_few_poses_it_is_said_that_effects_cannot_be_told(run_file, capsys):
+    ct.save_recording(ct.load_recording(run_file).slice(0, 100), "short.parquet")
+    words = ["identify", "short.parquet", "--robot", "carosac", "--json", "x.json"]
+    assert main([*words, "--report", "report"]) in (0, 1)
+    printed = " ".join(capsys.readouterr().out.split())
+    data = json.loads(Path("x.json").read_text())
+    assert data["effects"] is None and "over 15 s" in data["effects_reason"]
+    assert "looks like cannot be told: samples: got" in printed
+    assert "cannot be told: samples: got" in Path("report/report.html").read_text()
 
 
 def test_ranges_beside_several_recordings_and_one_given_twice_are_refused(run_file, capsys):

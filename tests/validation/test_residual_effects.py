@@ -19,7 +19,7 @@ from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.similar import similar_robot
 from carosac_toolkit.trajectories.moves import waypoints
 from carosac_toolkit.validation.effect_signatures import effect_signatures
-from carosac_toolkit.validation.residual_effects import residual_effects
+from carosac_toolkit.validation.residual_effects import SimulatedRun, residual_effects
 
 ROBOT = ct.load_robot("carosac")
 CABLES = ROBOT.cable_names
@@ -37,6 +37,10 @@ def lengths(seed=0):
     rest = statics.inverse_kinematics(ROBOT, path.sample(time).position)
     assert rest.converged.all()
     return Recording(time=time, unstrained_length=rest.unstrained_length)
+
+
+def simulated(recording, time, measured, modelled):
+    return SimulatedRun(recording=recording, time=time, measured=measured, modelled=modelled)
 
 
 def moved(robot, when, seed=0):
@@ -75,7 +79,7 @@ def shares(monkeypatch):
         poses = PoseSamples.from_rotation(time, position, true.rotation @ turn)
         measured = ct.Pose(position=position, rotation=poses.rotation)
         recording = replace(lengths(seed), poses=poses)
-        return residual_effects(recording, ROBOT, time, measured, modelled(seed))
+        return residual_effects(ROBOT, [simulated(recording, time, measured, modelled(seed))])
 
     return tell
 
@@ -135,13 +139,13 @@ def test_few_samples_tell_nothing():
     time = lengths().time[:20]
     pose = moved(ROBOT, time)
     with pytest.raises(InvalidField, match=r"samples: got 20 .*at least 60 over 15 s"):
-        residual_effects(lengths(), ROBOT, time, pose, pose)
+        residual_effects(ROBOT, [simulated(lengths(), time, pose, pose)])
 
 
 def test_a_simulation_without_an_error_has_no_effects():
     time = lengths().time[5:305]
     pose = moved(ROBOT, time)
-    found = residual_effects(lengths(), ROBOT, time, pose, pose)
+    found = residual_effects(ROBOT, [simulated(lengths(), time, pose, pose)])
     assert found.rms == 0.0 and found.shares == {} and found.other == 0.0
     assert found.sentence("simulator") == "There is no error of simulator to explain."
 
@@ -155,8 +159,63 @@ def test_a_similar_robot_has_similar_signatures():
     rest = ct.Pose(position=factor * pose.position, rotation=pose.rotation)
     moved_by = 1e-3 * factor * np.sin(time)[:, None] * np.ones(3)
     shifted = ct.Pose(position=rest.position + moved_by, rotation=pose.rotation)
-    found = residual_effects(shrunk, small, faster * time, shifted, rest)
+    found = residual_effects(small, [simulated(shrunk, faster * time, shifted, rest)])
     whole = ct.Pose(position=shifted.position / factor, rotation=pose.rotation)
-    before = residual_effects(path, ROBOT, time, whole, pose)
+    before = residual_effects(ROBOT, [simulated(path, time, whole, pose)])
     assert found.rms == pytest.approx(factor * before.rms, rel=1e-6)
     assert found.shares == pytest.approx(before.shares, abs=0.02)
+
+
+SHORT_S = 7.0  # of a run that is too short to tell anything alone
+
+
+@lru_cache
+def short_runs(effect):
+    """Eight runs of one plant, each from rest between two points."""
+    runs = []
+    for seed in range(10, 18):
+        path = lengths(seed)
+        path = path.slice(0, int(np.searchsorted(path.time, SHORT_S)))
+        time = path.time[5:-5]
+        poses = [
+            simulate([robot], LengthPath(path), time, time_step=TIME_STEP_S).seen_by(ROBOT, [robot])
+            for robot in (PLANTS[effect], ROBOT)
+        ]
+        measured, modelled = (
+            ct.Pose(position=each.position[:, 0], rotation=each.rotation[:, 0]) for each in poses
+        )
+        rng = np.random.default_rng(seed)
+        noisy = measured.position + 2e-4 * rng.standard_normal(measured.position.shape)
+        runs.append(simulated(path, time, replace(measured, position=noisy), modelled))
+    return runs
+
+
+@pytest.mark.parametrize("effect", ["delay", "damping law", "hysteresis", "tilt", "centre of mass"])
+def test_short_runs_tell_together_what_none_tells_alone(effect):
+    runs = short_runs(effect)
+    with pytest.raises(InvalidField, match="over 15 s, to tell effects apart"):
+        residual_effects(ROBOT, runs[:1])
+    found = residual_effects(ROBOT, runs)
+    assert found.causes[:1] in ((), (effect,)), found
+    assert found.ranges[effect][1] > 0.3 and effect in found.sentence("simulator"), found
+
+
+def test_a_start_that_is_wrong_in_each_run_is_no_effect_of_the_robot():
+    """Sways of any phase, as large as the error by the tilt."""
+    rng, runs = np.random.default_rng(2), []
+    for run in short_runs("tilt"):
+        start = effect_signatures(run.recording, ROBOT, run.time, run.modelled).start
+        scale = np.linalg.norm(run.measured.position - run.modelled.position)
+        sway = start[:, :3] @ rng.standard_normal(start.shape[2])
+        sway *= scale / np.linalg.norm(sway)
+        position = run.measured.position + sway
+        runs.append(replace(run, measured=replace(run.measured, position=position)))
+    found = residual_effects(ROBOT, runs)
+    assert next(iter(found.shares)) == "tilt" and found.other < 0.3, found
+
+
+def test_of_many_runs_the_worst_is_used():
+    runs = short_runs("tilt") * 6
+    large = replace(runs[3].measured, position=runs[3].modelled.position + np.array([0.5, 0, 0]))
+    found = residual_effects(ROBOT, [*runs, replace(runs[3], measured=large)])
+    assert found.rms > 0.05
