@@ -7,9 +7,9 @@ carosac import recording run.bag
 
 carosac import recording run.bag --lengths /joint_states --pose /mocap/pose --output run.parquet
 
-With --align, the stamps of poses, length rates, tensions and IMU are shifted to the clock of the
-cable lengths, and those of an AHRS with the IMU's if they are equal; others stay. How
-far they are apart is estimated from what the lengths predict of each channel, which takes the
+With --align, the stamps of poses, length rates, tensions, IMU, swivel angles, AHRS and inclinometer
+are shifted to the clock of the cable lengths, those of an AHRS with the IMU's if they are equal.
+How far they are apart is estimated from what the lengths predict of each channel, which takes the
 robot. A recording file is aligned in the same way:
 
 carosac import recording run.csv --align --robot scampi --output aligned.parquet
@@ -44,6 +44,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.validation.clocks import (
     ALIGNED_CHANNELS,
+    ANGLE_CHANNELS,
     align_clocks,
     channel_clocks,
     not_aligned,
@@ -113,11 +114,15 @@ class Options(CommonOptions):
     robot: str | None = None
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
     align: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Shift the stamps of poses, length rates, tensions and IMU to the clock of the lengths; it
-    needs --robot, or a recording that names its robot. Refused where a channel does not tell its
-    offset."""
-    align_channels: tuple[Literal["poses", "length_rate", "tension", "imu"], ...] = ()
-    """Channels to align; by default those of the four that there are."""
+    """Shift the stamps of all channels but commands to the clock of the lengths; it needs --robot,
+    or a recording that names its robot. Refused where a channel does not tell its offset."""
+    align_channels: tuple[
+        Literal[
+            "poses", "length_rate", "tension", "imu", "swivel_angle", "attitude", "inclination"
+        ],
+        ...,
+    ] = ()
+    """Channels to align; by default all that there are, but angles that do not tell their clock."""
 
 
 def run(options: Options) -> CommandResult:
@@ -179,7 +184,15 @@ def _aligned(
         if name not in recording.channel_times:
             allowed = f"of {[c for c in ALIGNED_CHANNELS if c in recording.channel_times]}"
             raise InvalidField("--align-channels", name, allowed)
-    clocks = channel_clocks(calibrated(recording, robot), robot, channels)
+    every = channel_clocks(calibrated(recording, robot), robot, channels)
+    untold = {
+        clock.channel: clock.reason
+        for clock in every
+        if clock.shift is None
+        and clock.channel in ANGLE_CHANNELS
+        and clock.channel not in options.align_channels
+    }
+    clocks = [clock for clock in every if clock.channel not in untold]
     aligned = align_clocks(recording, clocks)
     rows = [
         (clock.channel, f"{1e3 * clock.shift.seconds:+.2f}", f"{1e3 * clock.shift.sigma:.2f}",
@@ -192,8 +205,9 @@ def _aligned(
     print("\nOffset: of the stamps against the clock of the lengths; it is removed from them.")
     left = not_aligned(recording, clocks)
     if left:
-        print(f"Not aligned: {', '.join(left)}.")
-    return aligned, {"clocks": {clock.channel: clock.data() for clock in clocks}}
+        words = [f"{name} ({untold[name]})" if name in untold else name for name in left]
+        print(f"Not aligned: {', '.join(words)}.")
+    return aligned, {"clocks": {clock.channel: clock.data() for clock in every}}
 
 
 def _jitter(shift: TimeShift) -> str:

@@ -2,8 +2,9 @@
 
 Each channel is compared with what the lengths predict of it by the physics of the robot: measured
 poses by the straight distances from exit to anchor points, which change as the lengths do; tensions
-and inertial samples by what the measured motion takes, or rest on the lengths where no poses were
-measured.
+and inertial samples by what the measured motion takes; swivel angles, and the vertical in the frame
+of an AHRS or inclinometer, by the measured poses. Where no poses were measured rest on the lengths
+takes their place.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from scipy.interpolate import CubicSpline
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -34,7 +37,8 @@ from carosac_toolkit.validation.time_shift import (
     find_shift,
 )
 
-ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu")
+ANGLE_CHANNELS = ("swivel_angle", "attitude", "inclination")
+ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu", *ANGLE_CHANNELS)
 PLAUSIBLE_DELAY_S = 0.1  # [s]: a sensor may be late by as much
 OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
 MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
@@ -148,7 +152,7 @@ def clock_warnings(
 def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Recording:
     """Shift the stamps of channels to the clock of the lengths; the metadata say by how much.
 
-    An attitude with the stamps of the inertial samples is shifted with them.
+    An attitude with the stamps of the inertial samples is shifted with them, if these are.
 
     Args:
         recording: As it was recorded.
@@ -159,7 +163,10 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
     """
     changes: dict[str, Any] = {}
     notes = []
+    with_imu = any("attitude" in _of_one_clock(recording, each.channel)[1:] for each in clocks)
     for clock in clocks:
+        if clock.channel == "attitude" and with_imu:
+            continue
         if clock.shift is None:
             raise CarosacError(
                 f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
@@ -216,6 +223,10 @@ class _Comparisons:
             return find_shift(self._measured(channel), self._length_rates())
         if channel == "tension":
             return find_shift(self._measured(channel), self._tensions(), scaling="each")
+        if channel == "swivel_angle":
+            return find_shift(*self._swivels())
+        if channel in ANGLE_CHANNELS:
+            return find_shift(self._verticals(channel), self._vertical(), scaling="mixed")
         imu = self._recording.imu
         assert imu is not None
         samples = Signal(time=imu.time, value=np.hstack([imu.angular_rate, imu.specific_force]))
@@ -303,6 +314,35 @@ class _Comparisons:
         wrench = np.einsum("kij,kj->ki", mass_matrix(robot, rotation), acceleration)
         pull = np.linalg.pinv(structure_matrix(robot, position, rotation))
         return Signal(time=time, value=np.einsum("kij,kj->ki", pull, wrench))
+
+    def _swivels(self) -> tuple[Signal, Signal]:
+        """Return swivel angles of the pulleys as measured, and as the motion turns them [rad]."""
+        robot, measured = self._robot, self._measured("swivel_angle")
+        pulleys = robot.pulley_radius > 0.0
+        if not pulleys.any():
+            raise UnknownShift("the robot has no pulleys")
+        time, position, rotation, _ = self._motion()
+        anchors = position[:, None] + robot.anchor_points @ rotation.swapaxes(1, 2)
+        expected = swivel_angle(robot, anchors - robot.exit_points)
+        said, told = (
+            Signal(time=when, value=np.unwrap(value[:, pulleys], axis=0))
+            for when, value in ((measured.time, measured.value), (time, expected))
+        )
+        return said, told
+
+    def _verticals(self, channel: str) -> Signal:
+        """Return the vertical in the frame of an AHRS or inclinometer, shape (K, 3)."""
+        measured = self._measured(channel)
+        if channel == "attitude":
+            return Signal(time=measured.time, value=to_matrix(measured.value)[:, 2])
+        roll, pitch = measured.value.T
+        up = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+        return Signal(time=measured.time, value=np.column_stack(up))
+
+    def _vertical(self) -> Signal:
+        """Return the vertical in P, shape (K, 3)."""
+        time, _, rotation, _ = self._motion()
+        return Signal(time=time, value=rotation[:, 2])
 
     def _inertial(self) -> Signal:
         """Return turning rate [rad/s] and specific force [m/s^2] in P, shape (K, 6)."""

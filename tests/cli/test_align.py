@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.recordings.files import load_recording, save_recording
 from tests.validation.moving import moving_run
 
@@ -56,6 +57,19 @@ def test_a_channel_without_an_offset_is_one_message_and_no_file(tmp_path, capsys
     assert align(tmp_path / "still.csv", "--robot", "carosac", "--output", output) == 2
     assert "the clock of channel poses cannot be aligned: the lengths" in capsys.readouterr().err
     assert not output.exists()
+
+
+def test_angles_that_tell_no_offset_stay_as_they_are_unless_they_are_named(tmp_path, capsys):
+    run = moving_run()
+    level = Stamped(time=run.poses.time, value=np.zeros((len(run.poses.time), 2)))
+    save_recording(replace(run, inclination=level), tmp_path / "level.csv")
+    words = (tmp_path / "level.csv", "--robot", "carosac", "--output", tmp_path / "aligned.csv")
+    assert align(*words) == 0
+    assert "Not aligned: inclination (" in capsys.readouterr().out
+    aligned = load_recording(tmp_path / "aligned.csv")
+    np.testing.assert_array_equal(aligned.inclination.time, level.time)
+    assert align(*words[:-1], tmp_path / "other.csv", "--align-channels", "inclination") == 2
+    assert "clock of channel inclination cannot be aligned" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,14 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.rotations import (
+    from_matrix,
+    from_rotation_vector,
+    roll_and_pitch,
+    wrapped_angle,
+)
 from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.validation.clocks import (
     align_clocks,
     channel_clocks,
@@ -59,6 +66,68 @@ def test_an_attitude_by_the_stamps_of_the_imu_is_shifted_with_it():
         moved = 0.0 if behind else clocks[0].shift.seconds
         np.testing.assert_array_equal(aligned.attitude.time, attitude.time - moved)
         assert sorted(not_aligned(both, clocks)) == sorted(left)
+
+
+PULLEYS = replace(ROBOT, pulley_radius=np.full(4, 0.05))
+
+
+def with_angles():
+    """A run with swivel angles, an AHRS and an inclinometer, of any zeros and mounting."""
+    run, rng = moving_run(), np.random.default_rng(5)
+    poses, n = run.poses, len(run.poses.time)
+    anchors = poses.position[:, None] + ROBOT.anchor_points @ poses.rotation.swapaxes(1, 2)
+    zeros = np.array([0.1, -0.2, 3.0, 0.0])
+    angles = swivel_angle(PULLEYS, anchors - ROBOT.exit_points) + zeros
+    angles = wrapped_angle(angles + 3e-3 * rng.standard_normal((n, 4)))
+    mounted = from_rotation_vector(np.array([0.4, -0.3, 2.0]))
+    noise = from_rotation_vector(5e-3 * rng.standard_normal((n, 3)))
+    turned = poses.rotation @ mounted @ noise
+    heading = from_rotation_vector(np.array([0.0, 0.0, 1.2]))
+    return replace(
+        run, swivel_angle=Stamped(time=poses.time, value=angles),
+        attitude=Stamped(time=poses.time, value=from_matrix(heading @ turned)),
+        inclination=Stamped(time=poses.time, value=roll_and_pitch(turned)),
+    )  # fmt: skip
+
+
+def test_clocks_of_angles_are_found_whatever_their_zeros_and_mounting():
+    offsets = {"swivel_angle": 1.7, "attitude": -2.2, "inclination": 0.9}
+    run = late(with_angles(), offsets)
+    clocks = channel_clocks(run, PULLEYS, tuple(offsets))
+    for clock in clocks:
+        assert clock.shift.sigma < 5e-3 and clock.is_apart()
+        assert clock.shift.seconds == pytest.approx(
+            offsets[clock.channel], abs=4.0 * clock.shift.sigma
+        )
+    aligned = align_clocks(run, clocks)
+    for name in offsets:
+        early = getattr(aligned, name).time - getattr(with_angles(), name).time
+        assert np.abs(early).max() < 5e-3
+
+
+def test_without_poses_swivel_angles_are_those_of_rest():
+    """The sway is not in it, and turns the platform more than its way does."""
+    run = replace(late(with_angles(), {"swivel_angle": 1.7}), poses=None)
+    swivels, attitude = channel_clocks(run, PULLEYS, ("swivel_angle", "attitude"))
+    assert swivels.is_apart()
+    assert swivels.shift.seconds == pytest.approx(1.7, abs=4.0 * swivels.shift.sigma)
+    assert attitude.shift is None and attitude.reason
+
+
+def test_an_ahrs_by_the_stamps_of_the_imu_keeps_them():
+    """The IMU tells the clock of both better than the vertical does."""
+    run = with_angles()
+    run = late(replace(run, imu=replace(run.imu, time=run.attitude.time)),
+               {"imu": 3.1, "attitude": 3.1})  # fmt: skip
+    clocks = channel_clocks(run, PULLEYS, ("imu", "attitude"))
+    aligned = align_clocks(run, clocks)
+    np.testing.assert_array_equal(aligned.attitude.time, aligned.imu.time)
+    assert aligned.metadata.clock_offsets.startswith("imu and attitude +3.")
+
+
+def test_swivel_angles_of_a_robot_without_pulleys_tell_no_clock():
+    (clock,) = channel_clocks(with_angles(), ROBOT, ("swivel_angle",))
+    assert clock.shift is None and clock.reason == "the robot has no pulleys"
 
 
 def test_a_delay_that_the_robot_states_is_no_offset_of_a_clock():
