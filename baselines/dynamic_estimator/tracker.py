@@ -236,7 +236,7 @@ class Tracker:
             for each in track.signals
             if state.time + READING_INTERVAL_MIN_S <= each.time <= known + READING_INTERVAL_MIN_S
         ]
-        stops = sorted({*groups, *(each.time for each in (*heard, *due))})
+        stops = sorted({*groups, *(each.time for each in heard), *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:

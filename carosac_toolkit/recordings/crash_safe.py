@@ -268,6 +268,10 @@ def _run(
     sent, would = rows.get("sent", ()), rows.get("would_send", ())
     lengths = _stamped([(_sampled(row), row["unstrained_length"]) for row in measured])
     assert lengths is not None
+    channels: dict[str, Any] = {
+        name: _stamped([tuple(row[name]) for row in measured if name in row])
+        for name in MEASURED_CHANNELS
+    }
     recording = Recording(
         time=lengths.time,
         unstrained_length=lengths.value,
@@ -275,10 +279,7 @@ def _run(
         poses=_poses([row["pose"] for row in measured if "pose" in row]),
         imu=_imu(measured),
         metadata=RecordingMetadata.from_dict(head["metadata"]),
-        **{
-            name: _stamped([tuple(row[name]) for row in measured if name in row])
-            for name in MEASURED_CHANNELS
-        },
+        **channels,
     )
     asked = [(row["time"], row["asked"]) for row in (*sent, *would) if "asked" in row]
     return RecordedRun(

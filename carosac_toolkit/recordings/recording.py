@@ -142,7 +142,9 @@ class Recording:
             raise InvalidField("index", index, f"0 <= index < {len(self.time)}")
         after = -np.inf if index == 0 else float(self.time[index - 1])
         until = float(self.time[index])
-        latest = {name: _latest(getattr(self, name), after, until) for name in MEASURED_CHANNELS}
+        latest: dict[str, Any] = {
+            name: _latest(getattr(self, name), after, until) for name in MEASURED_CHANNELS
+        }
         return Measurement(
             time=self.time[index : index + 1],
             unstrained_length=self.unstrained_length[index : index + 1],

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from calibration.identification.open_loop import simulate
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.length_path import LengthPath
@@ -190,7 +191,7 @@ def short_runs(effect):
     return runs
 
 
-@pytest.mark.parametrize("effect", ["delay", "damping law", "hysteresis", "tilt", "centre of mass"])
+@pytest.mark.parametrize("effect", ["damping law", "tilt"])
 def test_short_runs_tell_together_what_none_tells_alone(effect):
     runs = short_runs(effect)
     with pytest.raises(InvalidField, match="over 15 s, to tell effects apart"):
@@ -214,8 +215,10 @@ def test_a_start_that_is_wrong_in_each_run_is_no_effect_of_the_robot():
     assert next(iter(found.shares)) == "tilt" and found.other < 0.3, found
 
 
-def test_of_many_runs_the_worst_is_used():
-    runs = short_runs("tilt") * 6
+def test_of_many_runs_the_worst_is_used(monkeypatch):
+    module = "carosac_toolkit.validation.residual_effects"
+    monkeypatch.setattr(f"{module}.DURATION_MAX", Scaled(4.0 * SHORT_S, "s"))
+    runs = short_runs("tilt")
     large = replace(runs[3].measured, position=runs[3].modelled.position + np.array([0.5, 0, 0]))
     found = residual_effects(ROBOT, [*runs, replace(runs[3], measured=large)])
     assert found.rms > 0.05
