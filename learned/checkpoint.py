@@ -12,7 +12,7 @@ import sys
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +207,13 @@ def _dataclass(node: dict[str, Any], arrays: Arrays, packages: Collection[str]) 
     values = _decoded(node["fields"], arrays, packages)
     made = object.__new__(kind)
     for part in fields(kind):
-        object.__setattr__(made, part.name, values[part.name])
+        if part.name not in values and part.default_factory is not MISSING:
+            value = part.default_factory()  # of an earlier version, which had no such field
+        elif part.name not in values and part.default is not MISSING:
+            value = part.default
+        else:
+            value = values[part.name]
+        object.__setattr__(made, part.name, value)
     return made
 
 

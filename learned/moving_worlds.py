@@ -49,8 +49,8 @@ class MovingSettings:
             driver `simulator` do. Its beliefs must hold all that it remembers.
         estimated: Share of the worlds in which it is, one at least. They have the sensors of driver
             `simulator`: their encoders and belief err as these do.
-        suite: Sensors that the estimator measures with, one of
-            `carosac_toolkit.drivers.sensors.SENSOR_SUITES`.
+        suite: Sensors that the estimator measures with, as
+            `carosac_toolkit.drivers.sensors.check_suite` allows.
         modelled: Whether beliefs err as those of the estimator do on the average, instead of being
             its own: by a model of `learned.belief_errors`, which takes microseconds.
     """

@@ -14,6 +14,7 @@ from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_builder import build_plugin, uses_of
 from carosac_toolkit.loop.protocols import Estimator
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.scales import Scales
@@ -42,7 +43,7 @@ class Sensing:
         Args:
             robot: The nominal one, which the estimator knows.
             simulator: With the plants; it may have more worlds.
-            suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`.
+            suite: As `carosac_toolkit.drivers.sensors.check_suite` allows.
             estimator: By its name as a plug-in; its beliefs hold all that it remembers.
             count: In how many worlds.
             seed: Of the sensors.
@@ -53,7 +54,10 @@ class Sensing:
         self._plant = SimPlant.around(simulator)
         sensors = resolved(SensorSettings(), Scales(robot).ratios)
         self._sensors = SensorSuite(suite, sensors, self._plant, seed)
-        self._estimator: Estimator = plugins.load("estimators", estimator).build(robot)
+        self._estimator: Estimator = build_plugin(
+            plugins.load("estimators", estimator), robot, where=f"estimator.{estimator}",
+            offered=uses_of(suite.split("+")),
+        )  # fmt: skip
         self._tried = False
         self._now = 0.0
         self._sensors.sample(self._plant, self._now)

@@ -56,8 +56,11 @@ class Options(CommonOptions):
     imu: bool = True
     """Use inertial samples, where the recording has them."""
     angles: bool = True
-    """Use swivel angles, and the orientation by an AHRS or inclinometer, where the recording has
+    """Use swivel angles, and with --mounting an AHRS or inclinometer, where the recording has
     them."""
+    mounting: tuple[float, float, float] | None = None
+    """Rotation vector from the axes of the AHRS or inclinometer to those of the platform [rad], to
+    2 degrees; without it neither is used."""
     lag: float | None = None
     """Use only measurements up to so many seconds later; by default the whole recording."""
     start: int = 0
@@ -160,8 +163,9 @@ def _settings(options: Options) -> SmootherSettings:
     usual = SmootherSettings()
     asked = {name: getattr(options, name) for name in DYNAMICS_OPTIONS}
     dynamics = replace(
-        usual.dynamics, **{name: value for name, value in asked.items() if value is not None}
-    )
+        usual.dynamics, attitude_rotation=options.mounting,
+        **{name: value for name, value in asked.items() if value is not None},
+    )  # fmt: skip
     return replace(
         usual, poses=options.poses, imu=options.imu, angles=options.angles, lag=options.lag,
         dynamics=dynamics,

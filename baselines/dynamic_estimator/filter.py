@@ -9,7 +9,7 @@ import numpy as np
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
-from baselines.dynamic_estimator.reading_models import READING_MODELS
+from baselines.dynamic_estimator.reading_models import READING_MODELS, prepared
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
@@ -113,19 +113,29 @@ class DynamicFilter:
         return self._corrected(state, cross, own, measurement.residual)
 
     def reading(
-        self, state: DynamicFilterState, channel: str, value: Array
+        self, state: DynamicFilterState, channel: str, value: Array, late: float = 0.0
     ) -> tuple[DynamicFilterState, InnovationTally]:
-        """Correct by a reading at the time of a state.
+        """Correct by a reading of another sensor.
 
         Args:
             state: The estimate.
             channel: One of `carosac_toolkit.loop.values.Measurement`, of `READING_MODELS`.
             value: As there, without its batch.
+            late: How long before the time of the state it was measured [s]: it is moved on with the
+                believed twist, and counts for less. Late tensions are not used.
         """
-        measurement = READING_MODELS[channel](self._model.robot, state, value, self._settings)
+        robot = self._model.robot
+        state = prepared(robot, state, channel, value)
+        measurement = READING_MODELS[channel](robot, state, value, self._settings)
+        residual, noise = measurement.residual, measurement.noise
+        if late > 0.0:
+            if measurement.by_pose is None:
+                return state, InnovationTally(disturbed=1)
+            swept = 0.5 * late**2 * self._late_acceleration
+            residual = residual + late * measurement.by_pose @ state.twist
+            noise = noise + measurement.by_pose @ np.diag(swept**2) @ measurement.by_pose.T
         cross = state.covariance @ measurement.by.T
-        own = measurement.by @ cross + measurement.noise
-        return self._corrected(state, cross, own, measurement.residual)
+        return self._corrected(state, cross, measurement.by @ cross + noise, residual)
 
     def noise(self, duration: float, keep: float, *, inertial: bool = False) -> Array:
         """Return the covariance that a step adds; a share `keep` of the wind remains.
@@ -136,6 +146,7 @@ class DynamicFilter:
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] = s.length_bias_walk**2 * duration
+        spread[where.heading] = s.attitude_heading_walk**2 * duration
         noise = np.diag(spread)
         noise[where.motion, where.motion] = self._model.unknown_motion(s, duration, felt=inertial)
         return noise

@@ -87,7 +87,9 @@ class DynamicFilterState:
         tension: At the platform [N], shape (n,).
         exit_tension: Tension vectors at the exits [N], shape (n, 3).
         swivel_offset: What swivel angles say too much [rad], shape (n,), or (0,) where they are not
-            used.
+            used; NaN where no reading has told it yet.
+        swivel_sag: By how much sag turns the pulleys beyond straight cables [rad], shape (n,), or
+            (0,) where swivel angles are not used.
         mounting: Rotation from the frame of an AHRS or inclinometer to P, shape (3, 3); None where
             none is used.
         heading: Of its level frame in W [rad].
@@ -110,6 +112,7 @@ class DynamicFilterState:
     tension: Array
     exit_tension: Array
     swivel_offset: Array = field(default_factory=lambda: np.zeros(0))
+    swivel_sag: Array = field(default_factory=lambda: np.zeros(0))
     mounting: Array | None = None
     heading: float = 0.0
     bristles: NDArray[Any] | None = None

@@ -9,6 +9,7 @@ import numpy as np
 from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.sway_basis import count_ways, sway_at
+from baselines.dynamic_estimator.swivel_sag import swivel_sag
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.scaled import Scaled
@@ -70,11 +71,11 @@ class DynamicModel:
             settings: Of the estimator.
             soft: Whether motions on cables that sag and stretch are ways to sway.
         """
-        self.robot = robot
+        self.robot, self._settings = robot, settings
         ways = count_ways(robot) if soft else max(0, 6 - robot.n)
         self.errors = Errors(
             robot.n, ways, cells=settings.load_cells, swivels=settings.swivels,
-            attitude=settings.attitude,
+            attitude=settings.attitude_rotation is not None,
         )  # fmt: skip
         where, ratios = self.errors, Scales(robot).ratios
         steps = np.zeros(where.moving)
@@ -174,6 +175,7 @@ class DynamicModel:
         self, state: DynamicFilterState, ends: Arrived, length: Array, duration: float
     ) -> DynamicFilterState:
         """Return the estimate at the end of the step."""
+        pull = np.asarray(ends.exit_tension)[0]
         return replace(
             state,
             time=state.time + duration,
@@ -181,7 +183,10 @@ class DynamicModel:
             rotation=ends.rotation[0],
             twist=ends.twist[0],
             tension=ends.tension[0],
-            exit_tension=np.asarray(ends.exit_tension)[0],
+            exit_tension=pull,
+            swivel_sag=swivel_sag(
+                self._settings, self.robot, ends.position[0], ends.rotation[0], pull
+            ),
             bristles=None if ends.bristles is None else ends.bristles[0],
             sway=sway_at(
                 self.robot,

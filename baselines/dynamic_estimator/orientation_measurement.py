@@ -1,7 +1,8 @@
 """Measurement models of an AHRS and an inclinometer on the platform.
 
-How the sensor is mounted is an error of the filter, and so is the heading of an AHRS, which may be
-any: it is a turn about the vertical, and exact however far off it is believed.
+How the sensor is mounted is stated, and the error of that is one of the filter. The level frame of
+an AHRS may have any heading: it is a turn about the vertical, and exact however far off it is
+believed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.rotations import roll_and_pitch, to_matrix, wrapped_angle
+from carosac_toolkit.base.rotations import cross_matrix, to_matrix, vertical, wrapped_angle
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -22,7 +23,7 @@ def measured_attitude(
     """Linearise an orientation that an AHRS measured at the time of a state.
 
     Args:
-        robot: Has no part in it.
+        robot: The nominal one.
         state: The estimate.
         attitude: Quaternion w x y z from the frame of the sensor to its level frame, shape (4,).
         settings: Its noise, and that of lengths that stretch.
@@ -47,17 +48,19 @@ def measured_inclination(
 ) -> LinearisedMeasurement:
     """Linearise roll and pitch that an inclinometer measured at the time of a state.
 
+    They tell the vertical in its frame, which is compared across the one expected.
+
     Args:
-        robot: Has no part in it.
+        robot: The nominal one.
         state: The estimate.
         inclination: Roll and pitch [rad], shape (2,).
         settings: Its noise, and that of lengths that stretch.
     """
     sensor = _in_world(state)
-    expected = roll_and_pitch(sensor[None])[0]
-    (sin, cos), tan = (f(expected[0]) for f in (np.sin, np.cos)), np.tan(expected[1])
-    rates = np.array([[1.0, tan * sin, tan * cos], [0.0, cos, -sin]])
-    return _by_turn(wrapped_angle(inclination - expected), state, settings, sensor, rates)
+    up = sensor[2]
+    across = np.linalg.svd(up[None])[2][1:]  # two axes
+    residual = across @ (vertical(inclination[None])[0] - up)
+    return _by_turn(residual, state, settings, sensor, across @ cross_matrix(up))
 
 
 def _in_world(state: DynamicFilterState) -> Array:

@@ -11,7 +11,7 @@ from baselines.dynamic_estimator.orientation_measurement import (
     measured_inclination,
 )
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.swivel_measurement import measured_swivels
+from baselines.dynamic_estimator.swivel_measurement import measured_swivels, with_swivel_zeros
 from baselines.dynamic_estimator.tension_measurement import measured_tension
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
@@ -27,3 +27,19 @@ READING_MODELS: Mapping[str, ReadingModel] = {
 }
 """By the channel of `carosac_toolkit.loop.values.Measurement`; each takes the nominal robot, the
 estimate, a reading at its time, and the settings."""
+
+
+def prepared(
+    robot: Robot, state: DynamicFilterState, channel: str, value: Array
+) -> DynamicFilterState:
+    """Return a state that knows what its first reading tells of the sensor: zeros of angles.
+
+    Args:
+        robot: The nominal one.
+        state: The estimate.
+        channel: Of the reading.
+        value: At the time of the state.
+    """
+    if channel == "swivel_angle":
+        return with_swivel_zeros(robot, state, value)
+    return state

@@ -9,7 +9,9 @@ import numpy as np
 from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.sway_basis import SwayBasis, sway_at
+from baselines.dynamic_estimator.swivel_sag import swivel_sag
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.fleet import Fleet
@@ -19,6 +21,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.robot import Robot
 
 LOG_MASS_STEP = 1e-3  # of the differences
+UNKNOWN_ANGLE = 1.0  # [rad]: sigma of the zero of an angle, which the first reading tells
 DIFFERENCE_STEP = Scaled(1e-4, "m")  # of centre of mass and lengths
 
 
@@ -76,13 +79,27 @@ class RestStart:
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
             cell_bias=np.zeros(n if self._settings.load_cells else 0),
-            swivel_offset=np.zeros(n if self._settings.swivels else 0),
-            mounting=np.eye(3) if self._settings.attitude else None,
+            swivel_offset=self._swivel_offset(),
+            swivel_sag=swivel_sag(
+                self._settings, robot, alone.position[0], alone.rotation[0], alone.exit_tension[0]
+            ),
+            mounting=self._mounting(),
             covariance=self._covariance(alone, sway, self._derivatives(rests), speed),
             sway=sway,
             tension=alone.tension[0],
             exit_tension=alone.exit_tension[0],
         )
+
+    def _swivel_offset(self) -> Array:
+        """Return the zeros of swivel angles, as far as they are known before a reading."""
+        s = self._settings
+        count = self._robot.n if s.swivels else 0
+        return np.full(count, np.nan if s.swivel_offset is None else 0.0)
+
+    def _mounting(self) -> Array | None:
+        """Return how an AHRS or inclinometer is mounted; None: none is used."""
+        stated = self._settings.attitude_rotation
+        return None if stated is None else from_rotation_vector(np.array(stated))
 
     def moving(
         self, rest: DynamicFilterState, reading: Array, position: Array, rotation: Array,
@@ -136,7 +153,7 @@ class RestStart:
         spread[where.bias] = s.bias_deviation
         spread[where.imu] = np.repeat([s.angular_rate_bias, s.specific_force_bias], 3)
         spread[where.cells] = s.load_cell_bias
-        spread[where.swivels] = s.swivel_offset
+        spread[where.swivels] = UNKNOWN_ANGLE if s.swivel_offset is None else s.swivel_offset
         spread[where.mounting], spread[where.heading] = s.attitude_mounting, s.attitude_heading
         carry = np.eye(where.size)
         free = np.array(by)

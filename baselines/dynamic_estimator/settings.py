@@ -78,13 +78,17 @@ class DynamicEstimatorSettings:
         swivels: Whether measured swivel angles correct the filter, where there are any; in a study,
             on suites with ``swivel``.
         swivel_noise: Of each swivel angle, swings of the cable included [rad].
-        swivel_offset: Constant error of their zeros, per pulley [rad].
-        attitude: Whether an AHRS or an inclinometer corrects the filter, where there is one; in a
-            study, on suites with ``attitude`` or ``inclination``. Of both the AHRS counts.
+        swivel_offset: Constant error of their zeros, per pulley [rad]; None: nothing is known of
+            them before the first reading.
+        attitude_rotation: Rotation vector from the axes of an AHRS or an inclinometer to P [rad],
+            which corrects the filter then, where there is one; None: neither is used. In a study,
+            on suites with ``attitude`` or ``inclination``, it is that of the simulation. Of both
+            the AHRS counts.
+        attitude_mounting: Error of that, constant, per axis [rad].
         attitude_noise: Of each of its readings, per axis [rad]. One that takes the specific force
             for gravity errs by the acceleration of the platform over gravity, in radians.
-        attitude_mounting: Its constant turn on the platform, per axis [rad].
-        attitude_heading: Of its level frame in W [rad]; the default knows nothing of it.
+        attitude_heading: Of the level frame of an AHRS in W [rad]; the default knows nothing of it.
+        attitude_heading_walk: By how much that changes [rad/sqrt(s)].
         position_noise: Of measured poses, per axis [m].
         rotation_noise: Of measured poses, per axis [rad].
         gate: Normalised innovation squared, over its degrees of freedom, beyond which a
@@ -130,11 +134,12 @@ class DynamicEstimatorSettings:
     tension_vibration: float = 0.05
     swivels: bool = False
     swivel_noise: float = 3.5e-3
-    swivel_offset: float = 3.5e-3
-    attitude: bool = False
+    swivel_offset: float | None = None
+    attitude_rotation: Mount | None = None
+    attitude_mounting: float = math.radians(2.0)
     attitude_noise: float = 5e-3
-    attitude_mounting: float = 0.02
     attitude_heading: float = math.pi
+    attitude_heading_walk: float = 2e-3
     position_noise: float = Scaled(1e-3, "m", most=1e-3)
     rotation_noise: float = Scaled(0.5e-3, "rad")
     gate: float = 6.0
@@ -146,7 +151,10 @@ class DynamicEstimatorSettings:
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
         for name in _MOUNT_FIELDS:
-            frozen_array(name, getattr(self, name), (3,))
+            if name != "attitude_rotation" or self.attitude_rotation is not None:
+                frozen_array(name, getattr(self, name), (3,))
+        if self.swivel_offset is not None:
+            check_not_negative("swivel_offset", self.swivel_offset, "rad")
         for name in _SENSOR_FIELDS:
             if not isinstance(getattr(self, name), bool):
                 raise InvalidField(name, repr(getattr(self, name)), "True or False")
@@ -210,12 +218,15 @@ def settings_for(robot: Robot, settings: DynamicEstimatorSettings) -> DynamicEst
     here = resolved(told, ratios)
     if isinstance(told.wind_force, Scaled):
         here = replace(here, wind_force=max(here.wind_force, robot.drag * AIR_SPEED.of(ratios)))
-    return replace(here, length_bias=here.bias_deviation, stretch_noise=here.stretch_deviation)
+    swivels = here.swivels and bool((robot.pulley_radius > 0.0).any())
+    return replace(
+        here, length_bias=here.bias_deviation, stretch_noise=here.stretch_deviation, swivels=swivels
+    )
 
 
-_OPTIONAL_FIELDS = ("length_bias", "stretch_noise", "delay")
-_SENSOR_FIELDS = ("load_cells", "swivels", "attitude")
-_MOUNT_FIELDS = ("imu_position", "imu_rotation")
+_OPTIONAL_FIELDS = ("length_bias", "stretch_noise", "delay", "swivel_offset")
+_SENSOR_FIELDS = ("load_cells", "swivels")
+_MOUNT_FIELDS = ("imu_position", "imu_rotation", "attitude_rotation")
 _POSITIVE_FIELDS = (
     "stretch_vibration", "load_cell_noise", "swivel_noise", "attitude_noise", "wind_time",
     "start_speed", "angular_rate_noise", "specific_force_noise", "position_noise", "rotation_noise",

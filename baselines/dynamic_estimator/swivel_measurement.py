@@ -1,10 +1,13 @@
 """Measurement model of swivel angles: where cables leave their pulleys to.
 
-The angle expected is that of the cable as the dynamics have it. Its change with an error is that of
-a straight cable: sag is in the plane of an upright axis, and moves with the cable.
+Angles are those of straight cables to the platform where it is believed to be, and what sag turns
+the pulleys by beside, which hardly changes with an error. A zero that nothing has told yet is what
+the first reading makes of it.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +16,7 @@ from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import wrapped_angle
-from carosac_toolkit.physics.cable.swivel import swivel_angle, swivel_slope
+from carosac_toolkit.physics.cable.swivel import straight_swivel_angle, swivel_slope
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -24,7 +27,7 @@ def measured_swivels(
 
     Args:
         robot: The nominal one.
-        state: The estimate.
+        state: The estimate, which knows the zeros (`with_swivel_zeros`).
         angle: As measured [rad], shape (n,); cables without a pulley are left out.
         settings: Noise of the angles, and of lengths that stretch.
     """
@@ -34,11 +37,24 @@ def measured_swivels(
     by_pose = np.hstack([slope, np.cross(arm, slope)])[pulleys]
     by = by_pose @ state.pose_by()
     by[:, where.swivels] = np.eye(where.n)[pulleys]
-    expected = swivel_angle(robot, -state.exit_tension[None])[0] + state.swivel_offset
     stretched = settings.stretch_deviation * by_pose @ state.sway.slaved
+    off = wrapped_angle(angle - _without_zeros(robot, state) - state.swivel_offset)
     return LinearisedMeasurement(
-        residual=wrapped_angle(angle - expected)[pulleys],
+        residual=off[pulleys],
         by=by,
         noise=settings.swivel_noise**2 * np.eye(len(pulleys)) + stretched @ stretched.T,
         by_pose=by_pose,
     )
+
+
+def with_swivel_zeros(robot: Robot, state: DynamicFilterState, angle: Array) -> DynamicFilterState:
+    """Return a state whose unknown zeros are those of a reading (n,) [rad] at its time."""
+    zeros = wrapped_angle(angle - _without_zeros(robot, state))
+    unknown = np.isnan(state.swivel_offset)
+    return replace(state, swivel_offset=np.where(unknown, zeros, state.swivel_offset))
+
+
+def _without_zeros(robot: Robot, state: DynamicFilterState) -> Array:
+    """Return the angles that are expected of encoders with true zeros [rad], shape (n,)."""
+    straight = straight_swivel_angle(robot, state.position[None], state.rotation[None])[0]
+    return np.asarray(straight + state.swivel_sag)

@@ -6,6 +6,7 @@ predicted to now; what an IMU said later than that waits until the lengths have 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -63,12 +64,13 @@ class TimedReading(NamedTuple):
         channel: One of `READING_MODELS`.
         time: [s].
         value: As `Measurement` has it, without its batch.
+        used: Whether the filter knows it.
     """
 
     channel: str
-
     time: float
     value: Array
+    used: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +85,7 @@ class Track:
             specific force [m/s^2], shape (K, 7).
         poses: Measured poses that are later than the filter, the last one in any case.
         signals: Readings of the other sensors that are later than the filter, the last one of each
-            in any case.
+            sensor in any case.
         tally: What measurements said against the filter since the last belief.
         restarts: How often the platform was hung anew.
         stale: How often lengths were held for want of readings, and doubted the more, the faster
@@ -95,10 +97,10 @@ class Track:
     readings: LengthReadings
     waiting: Array
     poses: tuple[TimedPose, ...]
-    signals: tuple[TimedReading, ...]
     tally: InnovationTally
     restarts: int
     stale: int = 0
+    signals: tuple[TimedReading, ...] = ()
 
 
 class Tracker:
@@ -134,9 +136,13 @@ class Tracker:
         state = self._rest.state(now, length - readings.slid, speed)
         if state is not None:
             state = state.slipped(readings.slid, self._tolerances.slip_deviation)
+        heard: tuple[TimedReading, ...] = ()
+        stamped = measurement.attitude  # once there is an AHRS, no inclinometer counts
+        if stamped is not None:
+            heard = (TimedReading("attitude", float(stamped.time[row]), stamped.value[row], True),)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            poses=(), signals=(), tally=InnovationTally(), restarts=0,
+            poses=(), signals=heard, tally=InnovationTally(), restarts=0,
         )  # fmt: skip
 
     def moving(self, track: Track, measurement: Measurement, row: int, first: Belief) -> Track:
@@ -230,70 +236,74 @@ class Tracker:
         groups, waiting = _grouped(
             track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
         )
-        due = [p for p in track.poses if not p.used and p.time <= known + READING_INTERVAL_MIN_S]
-        heard = [
-            each
-            for each in track.signals
-            if state.time + READING_INTERVAL_MIN_S <= each.time <= known + READING_INTERVAL_MIN_S
-        ]
-        stops = sorted({*groups, *(each.time for each in heard), *(p.time for p in due)})
+        told: list[TimedPose | TimedReading] = [*track.signals, *track.poses]
+        due = [t for t in told if not t.used and t.time <= known + READING_INTERVAL_MIN_S]
+        stops, stop_of = _merged([*groups, *(each.time for each in due)])
+        groups = {stop_of[time]: group for time, group in groups.items()}
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:
             state, added = self._to(state, track.readings, stop, groups.get(stop))
             tally = tally + added
-            for each in heard:
-                if each.time == stop == state.time:
-                    state, added = self._filter.reading(state, each.channel, each.value)
+            for each in due:
+                if stop_of[each.time] == stop:
+                    state, added = self._told(state, each)
                     tally = tally + added
-            for pose in due:
-                if pose.time == stop:
-                    state, added = self._posed(state, pose)
-                    tally = tally + added
-        poses = tuple(
-            p._replace(used=p.used or p.time <= known + READING_INTERVAL_MIN_S) for p in track.poses
+        until = known + READING_INTERVAL_MIN_S
+        poses = tuple(p._replace(used=p.used or p.time <= until) for p in track.poses)
+        signals = tuple(s._replace(used=s.used or s.time <= until) for s in track.signals)
+        return replace(
+            track, state=state, waiting=waiting, tally=tally, poses=poses, signals=signals
         )
-        return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
+
+    def _told(
+        self, state: DynamicFilterState, each: TimedPose | TimedReading
+    ) -> tuple[DynamicFilterState, InnovationTally]:
+        """Correct by a pose or a reading, unless it is too late to say anything."""
+        late = max(0.0, state.time - each.time)
+        late = late if late > READING_INTERVAL_MIN_S else 0.0
+        if late > self._late_max:
+            return state, InnovationTally(disturbed=1)
+        if isinstance(each, TimedPose):
+            return self._filter.pose(state, each.position, each.rotation, late)
+        return self._filter.reading(state, each.channel, each.value, late)
 
     def _known_signals(
         self, track: Track, measurement: Measurement, row: int
     ) -> tuple[TimedReading, ...]:
-        """Return the readings of other sensors that are later than the filter, with the new ones.
+        """Return the readings of other sensors that are to be used, with the new ones.
 
-        Load cells and swivel encoders share the clock of the lengths, sensors on the platform that
-        of the IMU.
+        The last one of each is kept, so that it is not used again. Load cells and swivel encoders
+        share the clock of the lengths, sensors on the platform that of the IMU.
         """
-        assert track.state is not None
         found: list[TimedReading] = []
-        for channel in self._channels(measurement):
+        for channel in self._channels(track, measurement):
             known = [each for each in track.signals if each.channel == channel]
-            kept = [each for each in known[:-1] if each.time > track.state.time] + known[-1:]
+            kept = [each for each in known[:-1] if not each.used] + known[-1:]
             stamped: Stamped | None = getattr(measurement, channel)
             if stamped is not None:
-                late = self._delay if channel in CABLE_CHANNELS else 0.0
-                when = float(stamped.time[row]) + late
+                delay = self._delay if channel in CABLE_CHANNELS else 0.0
+                when = float(stamped.time[row]) + delay
                 if not kept or when > kept[-1].time + READING_INTERVAL_MIN_S:
                     kept.append(TimedReading(channel, when, stamped.value[row]))
             found += kept
         return tuple(found)
 
-    def _channels(self, measurement: Measurement) -> list[str]:
-        """Return the channels of other sensors that are used; of AHRS and inclinometer one."""
+    def _channels(self, track: Track, measurement: Measurement) -> list[str]:
+        """Return the channels of other sensors that are used; of AHRS and inclinometer one.
+
+        Where there has been an AHRS, the inclinometer has no part, whichever reads more often.
+        """
         s = self._settings
+        ahrs = measurement.attitude is not None or any(
+            each.channel == "attitude" for each in track.signals
+        )
+        mounted = s.attitude_rotation is not None
         used = {
-            "tension": s.load_cells, "swivel_angle": s.swivels, "attitude": s.attitude,
-            "inclination": s.attitude and measurement.attitude is None,
+            "tension": s.load_cells, "swivel_angle": s.swivels, "attitude": mounted,
+            "inclination": mounted and not ahrs,
         }  # fmt: skip
         return [channel for channel in READING_MODELS if used[channel]]
-
-    def _posed(
-        self, state: DynamicFilterState, pose: TimedPose
-    ) -> tuple[DynamicFilterState, InnovationTally]:
-        """Correct by a pose, unless it is too late to say anything."""
-        late = max(0.0, state.time - pose.time)
-        if late > self._late_max:
-            return state, InnovationTally(disturbed=1)
-        return self._filter.pose(state, pose.position, pose.rotation, late)
 
     def _to(
         self, state: DynamicFilterState, readings: LengthReadings, stop: float, group: Array | None
@@ -313,6 +323,17 @@ class Tracker:
             )  # fmt: skip
             state, tally = replace(state, time=end), tally + added
         return state, tally
+
+
+def _merged(times: Sequence[float]) -> tuple[list[float], dict[float, float]]:
+    """Return times in order without those that follow another at once, and which each one is."""
+    stops: list[float] = []
+    stop_of: dict[float, float] = {}
+    for time in sorted(times):
+        if not stops or time - stops[-1] > READING_INTERVAL_MIN_S:
+            stops.append(time)
+        stop_of[time] = stops[-1]
+    return stops, stop_of
 
 
 def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:

@@ -35,6 +35,7 @@ POSE_GAP_MAX = Scaled(0.5, "s")  # between two poses, to interpolate
 IMU_STEP_MAX = Scaled(0.01, "s")  # of the step that ends at an inertial sample
 # Inertial samples within it are taken as one, at their mean time.
 IMU_GROUP_TIME = Scaled(0.01, "s")
+ANGLE_INTERVAL = Scaled(0.02, "s")  # in which one reading of a swivel encoder or an AHRS is used
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +148,8 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
     stops.append(np.array([when for when, _ in groups]))
     known = settings.dynamics.delay
     known = robot.length_delay if known is None else known
-    angles = _angles(run, settings, known or 0.0, first, last)
+    interval = ANGLE_INTERVAL.of(ratios)
+    angles = _angles(run, settings, known or 0.0, first, last, interval)
     stops += [channel.time for channel in angles.values()]
     time = _apart(np.sort(np.concatenate(stops)))
     step = IMU_STEP_MAX.of(ratios)
@@ -171,31 +173,46 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
 
 
 def _heard(run: Recording, settings: SmootherSettings) -> SmootherSettings:
-    """Return settings whose dynamics know which angles are used."""
-    rotates = run.attitude is not None or run.inclination is not None
-    swivels = settings.angles and run.swivel_angle is not None
-    dynamics = replace(settings.dynamics, swivels=swivels, attitude=settings.angles and rotates)
+    """Return settings whose dynamics know which angles are used.
+
+    An AHRS or inclinometer is one whose mounting is stated.
+    """
+    turned = settings.angles and (run.attitude is not None or run.inclination is not None)
+    dynamics = replace(
+        settings.dynamics,
+        swivels=settings.angles and run.swivel_angle is not None,
+        attitude_rotation=settings.dynamics.attitude_rotation if turned else None,
+    )
     return replace(settings, dynamics=dynamics)
 
 
 def _angles(
-    run: Recording, settings: SmootherSettings, delay: float, first: float, last: float
-) -> dict[str, Stamped]:
+    run: Recording, settings: SmootherSettings, delay: float, first: float, last: float,
+    interval: float,
+) -> dict[str, Stamped]:  # fmt: skip
     """Return swivel angles and the orientation by AHRS or else inclinometer, as far as used.
 
-    Swivel encoders share the clock of the lengths, which lead by a `delay` [s].
+    Args:
+        run: As calibrated.
+        settings: Whose dynamics know which are used.
+        delay: By which lengths lead, and swivel encoders with them, as they share a clock [s].
+        first: Begin of the lengths [s].
+        last: End of them [s].
+        interval: In which one reading counts [s].
     """
-    channels = {"swivel_angle": run.swivel_angle, "attitude": run.attitude}
-    if run.attitude is None:
-        channels["inclination"] = run.inclination
-    found = {}
+    used, found = settings.dynamics, dict[str, Stamped]()
+    channels = {"swivel_angle": run.swivel_angle} if used.swivels else {}
+    if used.attitude_rotation is not None:
+        ahrs = run.attitude is not None
+        channels |= {"attitude": run.attitude} if ahrs else {"inclination": run.inclination}
     for name, channel in channels.items():
-        if channel is None or not settings.angles:
+        if channel is None:
             continue
         time = channel.time + (delay if name == "swivel_angle" else 0.0)
-        inside = (time >= first) & (time <= last)
-        if inside.any():
-            found[name] = Stamped(time=time[inside], value=channel.value[inside])
+        bins = np.floor((time - first) / interval)
+        rows = (time >= first) & (time <= last) & (np.diff(bins, prepend=-1.0) > 0.0)
+        if rows.any():
+            found[name] = Stamped(time=time[rows], value=channel.value[rows])
     return found
 
 

@@ -55,6 +55,7 @@ class ErrorGraph:
         every = np.arange(len(scale))
         fixed = every >= errors.imu.start
         fixed[errors.mass] = fixed[errors.center] = True
+        fixed[errors.heading] = False  # an AHRS may drift
         self.changing, self.constant = every[~fixed], every[fixed]
         self._scale = scale
         self._start = start + np.diag((KNOWN_DEVIATION_RATIO * scale) ** 2)

@@ -15,6 +15,7 @@ from baselines.dynamic_estimator.measurement_models import (
 )
 from baselines.dynamic_estimator.model import DynamicModel
 from baselines.dynamic_estimator.reading_models import READING_MODELS
+from baselines.dynamic_estimator.rest_start import UNKNOWN_ANGLE
 from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
@@ -174,6 +175,7 @@ class ForwardModel:
         spread = self._floor * duration
         spread[where.wind] += s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] += s.length_bias_walk**2 * duration
+        spread[where.heading] += s.attitude_heading_walk**2 * duration
         spread[where.mass.start : where.center.stop] = 0.0
         spread[where.imu] = 0.0
         noise = np.diag(spread)
@@ -257,7 +259,8 @@ def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
         ],
         3,
     )
-    scale[where.swivels] = s.swivel_offset or KNOWN_ANGLE_SCALE
+    zeros = s.swivel_offset
+    scale[where.swivels] = UNKNOWN_ANGLE if zeros is None else zeros or KNOWN_ANGLE_SCALE
     scale[where.mounting] = s.attitude_mounting or KNOWN_ANGLE_SCALE
     scale[where.heading] = s.attitude_heading or KNOWN_ANGLE_SCALE
     return np.append(scale, settings.delay)

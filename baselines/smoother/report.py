@@ -6,6 +6,7 @@ import numpy as np
 
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import SmoothingScores
+from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
@@ -49,6 +50,9 @@ def warnings(result: Smoothed) -> list[str]:
         )
     if result.doubted:
         lines.append(f"{result.doubted} of {result.poses} poses are far off and count little")
+    for name, count in result.doubted_readings.items():
+        used = f"{result.readings[name]} {ANGLE_NAMES[name]}"
+        lines.append(f"{count} of {used} are far off and count little")
     return lines
 
 
@@ -61,6 +65,12 @@ def _implausible(result: Smoothed) -> list[str]:
         lines.append(
             f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
             f"{away / dynamics.mass:.1f} sigma away: {why}"
+        )
+    turned = _turned(result)
+    if turned > IMPLAUSIBLE_DEVIATIONS * dynamics.attitude_mounting > 0.0:
+        lines.append(
+            f"the AHRS or inclinometer is turned by {np.degrees(turned):.2g} degrees, "
+            f"{turned / dynamics.attitude_mounting:.1f} sigma, from how --mounting states it: {why}"
         )
     moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
     if moved > IMPLAUSIBLE_DEVIATIONS * dynamics.center_of_mass > 0.0:
@@ -76,6 +86,15 @@ def _implausible(result: Smoothed) -> list[str]:
             "centre of mass may be off by more than their sigmas"
         )
     return lines
+
+
+def _turned(result: Smoothed) -> float:
+    """Return by how much a sensor is mounted otherwise than stated [rad]; 0 where none is used."""
+    stated = result.settings.dynamics.attitude_rotation
+    if stated is None or result.mounting is None:
+        return 0.0
+    turn = from_rotation_vector(np.array(stated)).T @ result.mounting
+    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
 
 def _used(result: Smoothed) -> str:

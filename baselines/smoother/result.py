@@ -49,9 +49,15 @@ class Smoothed:
         converged: Whether that is within the tolerance.
         inertial: Inertial measurements that were used.
         poses: Measured poses that were used.
+        doubted: Those of them that are so far off that they count less than half.
         readings: Number of swivel angles, and orientations by an AHRS or inclinometer, that were
             used, by channel.
-        doubted: Those of them that are so far off that they count less than half.
+        doubted_readings: Those of them that are so far off that they count less than half.
+        swivel_offset: What swivel angles say too much [rad], shape (n,); (0,) where none are used.
+        swivel_offset_sigma: Of that [rad], shape (n,).
+        mounting: Rotation from the frame of an AHRS or inclinometer to P, shape (3, 3); None where
+            none is used.
+        mounting_sigma: Of that, per axis of the sensor [rad], shape (3,).
         outliers: Length samples that were not believed.
         misfits: What shows that the robot does not belong to the recording.
         measured: Poses that were not used, at their times; None where there are none.
@@ -84,8 +90,13 @@ class Smoothed:
     converged: bool
     inertial: int
     poses: int
-    readings: Mapping[str, int]
     doubted: int
+    readings: Mapping[str, int]
+    doubted_readings: Mapping[str, int]
+    swivel_offset: Array
+    swivel_offset_sigma: Array
+    mounting: Array | None
+    mounting_sigma: Array
     outliers: int
     misfits: tuple[str, ...]
     measured: Pose | None
@@ -122,7 +133,11 @@ class Smoothed:
             "passes": self.passes,
             "change_m": self.change,
             "inertial_measurements": self.inertial,
-            "angle_measurements": dict(self.readings),
+            "angles": {"used": dict(self.readings), "doubted": dict(self.doubted_readings)},
+            "swivel_offset_rad": self.swivel_offset,
+            "swivel_offset_sigma_rad": self.swivel_offset_sigma,
+            "mounting": self.mounting,
+            "mounting_sigma_rad": self.mounting_sigma,
             "poses": {"treatment": self.settings.poses, "used": self.poses,
                       "doubted": self.doubted},
             "length_outliers": self.outliers,

@@ -32,7 +32,8 @@ class SmootherSettings:
         poses: Measured poses: ``withheld``; every second one, the ``half`` of them, the others to
             score with; or all ``used``.
         imu: Whether inertial samples are used.
-        angles: Whether swivel angles are used, and the orientation by an AHRS or an inclinometer.
+        angles: Whether swivel angles are used, and the orientation by an AHRS or inclinometer whose
+            mounting `dynamics` states.
         lag: An estimate rests on what is measured up to so much later, at least [s]; None: on the
             whole recording.
         iterations: Forward passes at most.

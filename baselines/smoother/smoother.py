@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
 from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.reading_models import prepared
 from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.smoother.arranged_recording import ArrangedRecording, arrange
 from baselines.smoother.error_graph import ErrorGraph, GraphSolution
@@ -31,11 +32,12 @@ from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.phases import find_phases
 from carosac_toolkit.validation.plausibility import find_misfits
 
-REWEIGHTINGS_MAX = 6  # of the poses, in one pass
+REWEIGHTINGS_MAX = 6  # of poses and angles, in one pass
 WEIGHT_TOLERANCE = 0.05
 CONSTANT_CHANGE_DEVIATIONS = 0.3
 STEP_RATIO_MIN = 0.125  # of the correction of a pass that goes into the next one
-HUBER_DEVIATIONS = 4.0  # from which on a pose pulls no more: beyond lie gross errors, not noise
+# From which on a pose or an angle pulls no more: beyond lie gross errors, not noise.
+HUBER_DEVIATIONS = 4.0
 # With an IMU, at least: the phase of cable vibrations is unknown.
 IMU_STRETCH_DAMPING = Scaled(0.04, "s")
 TURNED_LEVER = Scaled(1.0, "m")  # at which a rotation counts as a move
@@ -79,7 +81,9 @@ def smooth(
         raise InvalidField("start, stop", f"{start}, {end}", allowed)
     measured = arrange(recording, robot, chosen)
     chosen = measured.settings
-    misfits = (*find_misfits(measured.recording, robot), *_unseen_motion(measured, robot))
+    angles = sorted({name for each in measured.readings.values() for name in each})
+    misfits = find_misfits(measured.recording, robot, angles=angles)
+    misfits = (*misfits, *_unseen_motion(measured, robot))
     try:
         last = _settled(measured, robot, chosen, report)
     except CarosacError as error:
@@ -161,9 +165,12 @@ def _rest(
             f"({lengths} m)"
         )
     first = first_motion(measured.seen, robot) if measured.poses else None
-    if first is None or first.twist is None:
-        return rest
-    return start.moving(rest, reading, first.position[0], first.rotation[0], first.twist[0])
+    if first is not None and first.twist is not None:
+        rest = start.moving(rest, reading, first.position[0], first.rotation[0], first.twist[0])
+    for key in sorted(measured.readings):
+        for channel, value in measured.readings[key].items():
+            rest = prepared(robot, rest, channel, value)  # as if there had been no motion yet
+    return rest
 
 
 def _solved(
@@ -253,6 +260,7 @@ def _result(
         compared, doubt = _poses(_states(last_pass, keys)[0], wanted.time, noise)
         scores = score(measured.recording, wanted, compared, doubt, settings.dynamics)
     where = last.errors
+    doubted = Counter(name for (_, name), value in last_pass.weight.items() if value < 0.5)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     mass = robot.mass * float(np.exp(last.log_mass))
     return Smoothed(
@@ -274,6 +282,10 @@ def _result(
         center_of_mass=last.center,
         center_sigma=sigma[where.center],
         imu_bias=last.imu_bias,
+        swivel_offset=last.swivel_offset,
+        swivel_offset_sigma=sigma[where.swivels],
+        mounting=last.mounting,
+        mounting_sigma=sigma[where.mounting],
         delay=last_pass.passed.delay + float(last_pass.solution.error[-1, -1]),
         delay_sigma=float(sigma[-1]) if measured.delay_sigma else 0.0,
         passes=last_pass.passes,
@@ -282,7 +294,8 @@ def _result(
         inertial=len(measured.felt),
         poses=len(measured.poses),
         readings=Counter(name for each in measured.readings.values() for name in each),
-        doubted=sum(value < 0.5 for (_, name), value in last_pass.weight.items() if name == "pose"),
+        doubted=doubted.pop("pose", 0),
+        doubted_readings=doubted,
         outliers=measured.outliers,
         misfits=misfits,
         measured=wanted,

@@ -74,6 +74,13 @@ def roll_and_pitch(rotation: Array) -> Array:
     return np.stack([roll, pitch], axis=1)
 
 
+def vertical(roll_pitch: Array) -> Array:
+    """Return the vertical in a frame of roll and pitch (B, 2) [rad] against a level one, (B, 3)."""
+    roll, pitch = roll_pitch.T
+    up = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+    return np.column_stack(up)
+
+
 def wrapped_angle(angle: Array) -> Array:
     """Return angles [rad] within a half turn about 0."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)

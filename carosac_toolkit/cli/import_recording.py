@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.files import check_writable
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
@@ -115,7 +115,8 @@ class Options(CommonOptions):
     """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
     align: tyro.conf.FlagCreatePairsOff[bool] = False
     """Shift the stamps of all channels but commands to the clock of the lengths; it needs --robot,
-    or a recording that names its robot. Refused where a channel does not tell its offset."""
+    or a recording that names its robot. Refused where a channel does not tell its offset, but for
+    angles, which stay as they are then."""
     align_channels: tuple[
         Literal[
             "poses", "length_rate", "tension", "imu", "swivel_angle", "attitude", "inclination"
@@ -193,6 +194,11 @@ def _aligned(
         and clock.channel not in options.align_channels
     }
     clocks = [clock for clock in every if clock.channel not in untold]
+    if untold and not clocks:
+        raise CarosacError(
+            "no clock can be aligned: "
+            + ", ".join(f"{name}: {reason}" for name, reason in untold.items())
+        )
     aligned = align_clocks(recording, clocks)
     rows = [
         (clock.channel, f"{1e3 * clock.shift.seconds:+.2f}", f"{1e3 * clock.shift.sigma:.2f}",

@@ -53,21 +53,19 @@ class SensorSuite:
         """Draw the biases; nothing is sampled yet.
 
         Args:
-            suite: One of `SENSOR_SUITES`.
+            suite: As `carosac_toolkit.drivers.sensors.check_suite` allows.
             settings: Their numbers; defaults that are left follow from the robot of the plant.
             plant: At rest where it starts, at time 0.
             seed: Of biases and noise: one for all robots together, or one for each, which then has
                 the sensors that it would have alone.
 
         Raises:
-            InvalidField: An unknown suite, or an IMU on a plant without inertia.
+            InvalidField: Sensors that the plant cannot have.
         """
-        check_suite(suite, inertial=plant.inertial)
+        check_sensors(suite, settings, plant)
         self._settings = settings = resolved(settings, Scales(plant.robot).ratios)
         self._size, self._n = plant.size, plant.robot.n
         self._lines = _delay_lines(settings.sensors_of(suite), settings)
-        if "swivel" in self._lines:
-            _check_swivels(plant)
         self._rng = _streams(seed, self._size)
         self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
         self._constant = self._turns()
@@ -334,13 +332,20 @@ def _delay_lines(sensors: Sequence[str], settings: SensorSettings) -> Mapping[st
     return lines
 
 
-def _check_swivels(plant: Plant) -> None:
-    """Refuse swivel angles where there are none.
+def check_sensors(suite: str, settings: SensorSettings, plant: Plant) -> None:
+    """Refuse sensors that a plant cannot have.
 
     Raises:
-        InvalidField: The robot has no pulleys, or the plant does not know how they turn.
+        InvalidField: An unknown suite, an IMU on a plant without inertia, or swivel encoders where
+            no pulley swivels.
     """
+    check_suite(suite, inertial=plant.inertial)
+    if "swivel" not in settings.sensors_of(suite):
+        return
+    named = "swivel" in suite.split("+")
+    field, value = ("suite", repr(suite)) if named else ("sensors.swivel", "True")
+    without = "one without swivel" if named else "False"
     if not (plant.robot.pulley_radius > 0.0).any():
-        raise InvalidField("suite", "'swivel'", "one without: the robot has no pulleys")
+        raise InvalidField(field, value, f"{without}: robot {plant.robot.name!r} has no pulleys")
     if not isinstance(plant, Swivelling):
-        raise InvalidField("suite", "'swivel'", "one without: this plant has no swivel angles")
+        raise InvalidField(field, value, f"{without}: this plant has no swivel angles")

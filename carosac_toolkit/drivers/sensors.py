@@ -63,7 +63,7 @@ class SensorSettings:
         attitude_rate: Its sampling rate [Hz].
         attitude_noise: Per axis and sample [rad].
         attitude_mounting: Constant turn of the sensor on the platform, drawn once per axis [rad].
-        attitude_heading: Heading of its level frame in W, drawn once [rad]; it has any.
+        attitude_heading: Heading of its level frame in W, drawn once [rad].
         attitude_delay: From the sample to its arrival [s].
         inclination: True to add an inclinometer on the platform to a suite without one.
         inclination_rate: Its sampling rate [Hz].

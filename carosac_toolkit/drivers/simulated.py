@@ -16,7 +16,7 @@ from carosac_toolkit.base.arrays import Array, as_floats, frozen_array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
 from carosac_toolkit.drivers.plant import Plant
-from carosac_toolkit.drivers.sensor_suite import SensorSuite
+from carosac_toolkit.drivers.sensor_suite import SensorSuite, check_sensors
 from carosac_toolkit.drivers.sensors import SensorSettings, check_suite
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.values import Command, Measurement, State
@@ -34,7 +34,8 @@ class SimulatedSettings:
     """Settings that all simulated drivers share.
 
     Attributes:
-        suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`; an IMU needs inertia.
+        suite: ``lengths``, and any of `carosac_toolkit.drivers.sensors.SENSORS` behind it, each
+            after a plus; an IMU needs inertia, swivel encoders pulleys.
         sensors: Rates, noise, bias and delays of the sensors.
         limits: Limits of the commands.
         winch: Control of the winches by their drives, in the plant.
@@ -77,6 +78,7 @@ class SimulatedDriver:
         self, plant: Plant, settings: SimulatedSettings, seed: int | Sequence[int] = 0
     ) -> None:
         """Take a plant; `seed`, one or one for each robot, draws bias and noise of the sensors."""
+        check_sensors(settings.suite, settings.sensors, plant)
         self._plant = plant
         self._settings = settings = settled(settings, plant.robot)
         self._seed = seed

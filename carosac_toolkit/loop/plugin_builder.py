@@ -29,7 +29,8 @@ def build_plugin(
         robot: Its robot; several for a driver that simulates a batch.
         where: Name of the settings in error messages.
         asked: Fields of its settings that the user set; they win over `offered`.
-        offered: What the caller knows, for as many fields as the settings have.
+        offered: What the caller knows, for as many fields as the settings have; a switch for those
+            that are switches.
         seed: Of everything random in it.
         seeds: Of a driver that simulates a batch, one for each robot.
         settle: Changes the settings before it is built, such as for the size of another robot.
@@ -64,7 +65,12 @@ def settings_of(
         return None
     check_types(where, kind(), asked)
     names = setting_names(plugin)
-    known = {name: value for name, value in offered.items() if name in names}
+    usual = kind()
+    known = {
+        name: value
+        for name, value in offered.items()
+        if name in names and (isinstance(getattr(usual, name), bool) or not isinstance(value, bool))
+    }
     return filled(where, kind(), {**known, **asked})
 
 
@@ -110,13 +116,17 @@ def build_estimator(
     return build_plugin(plugin, robot, where=where, asked=asked, offered=offered, seed=seed)
 
 
-def uses_of(sensors: Collection[str]) -> dict[str, bool]:
+def uses_of(sensors: Collection[str], *, simulated: bool = True) -> dict[str, Any]:
     """Return settings by which estimators use some sensors where these are there.
 
-    Load cells are not among them: their scales may be off.
+    Load cells are not among them: their scales may be off. How an AHRS or inclinometer is mounted
+    is known of simulated ones alone, which have the axes of the platform.
 
     Args:
         sensors: Those that are there, by their names in suites.
+        simulated: Whether they are simulated.
     """
-    rotates = "attitude" in sensors or "inclination" in sensors
-    return {"swivels": "swivel" in sensors, "attitude": rotates}
+    uses: dict[str, Any] = {"swivels": "swivel" in sensors}
+    if simulated and ("attitude" in sensors or "inclination" in sensors):
+        uses["attitude_rotation"] = (0.0, 0.0, 0.0)
+    return uses

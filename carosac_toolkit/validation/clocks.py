@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.base.rotations import to_matrix
+from carosac_toolkit.base.rotations import to_matrix, vertical
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.cable.swivel import swivel_angle
 from carosac_toolkit.physics.rest.modes import mass_matrix
@@ -38,7 +38,8 @@ from carosac_toolkit.validation.time_shift import (
 )
 
 ANGLE_CHANNELS = ("swivel_angle", "attitude", "inclination")
-ALIGNED_CHANNELS = ("poses", "length_rate", "tension", "imu", *ANGLE_CHANNELS)
+CHECKED_CHANNELS = ("poses", "length_rate", "tension", "imu")
+ALIGNED_CHANNELS = (*CHECKED_CHANNELS, *ANGLE_CHANNELS)
 PLAUSIBLE_DELAY_S = 0.1  # [s]: a sensor may be late by as much
 OFFSET_SIGMAS_MIN = 5.0  # sigmas from which clocks are apart
 MISFIT_RATIO_MIN = 2.0  # of the squared misfits with the stamps as they are and aligned
@@ -100,14 +101,18 @@ def channel_clocks(
     Args:
         recording: As calibrated (`carosac_toolkit.recordings.encoders.calibrated`), n cables.
         robot: With as many cables. Its `length_delay` is no offset of a clock.
-        channels: Of `ALIGNED_CHANNELS`; those that the recording lacks are left out.
+        channels: Of `ALIGNED_CHANNELS`; those that the recording lacks are left out, and an
+            attitude with the stamps of inertial samples that are among them.
     """
     recording.require_cables(robot)
     times = recording.channel_times
     delay = robot.length_delay or 0.0
     comparisons = _Comparisons(recording, robot)
     clocks = []
+    with_imu = "attitude" in _of_one_clock(recording, "imu") and "imu" in channels
     for channel in (name for name in channels if name in times):
+        if channel == "attitude" and with_imu:
+            continue
         intervals = np.diff(times[channel])
         deviation = float(intervals.std()) if len(intervals) else 0.0
         shift, reason = None, ""
@@ -126,7 +131,7 @@ def channel_clocks(
 def clock_warnings(
     recording: Recording,
     robot: Robot,
-    channels: Sequence[str] = ALIGNED_CHANNELS,
+    channels: Sequence[str] = CHECKED_CHANNELS,
     *,
     delay_max: float = PLAUSIBLE_DELAY_S,
 ) -> Iterator[str]:
@@ -152,7 +157,7 @@ def clock_warnings(
 def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Recording:
     """Shift the stamps of channels to the clock of the lengths; the metadata say by how much.
 
-    An attitude with the stamps of the inertial samples is shifted with them, if these are.
+    An attitude with the stamps of the inertial samples is shifted with them.
 
     Args:
         recording: As it was recorded.
@@ -163,10 +168,7 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
     """
     changes: dict[str, Any] = {}
     notes = []
-    with_imu = any("attitude" in _of_one_clock(recording, each.channel)[1:] for each in clocks)
     for clock in clocks:
-        if clock.channel == "attitude" and with_imu:
-            continue
         if clock.shift is None:
             raise CarosacError(
                 f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
@@ -335,9 +337,7 @@ class _Comparisons:
         measured = self._measured(channel)
         if channel == "attitude":
             return Signal(time=measured.time, value=to_matrix(measured.value)[:, 2])
-        roll, pitch = measured.value.T
-        up = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
-        return Signal(time=measured.time, value=np.column_stack(up))
+        return Signal(time=measured.time, value=vertical(measured.value))
 
     def _vertical(self) -> Signal:
         """Return the vertical in P, shape (K, 3)."""

@@ -55,7 +55,7 @@ EFFECTS = (
     "delay", "sway phase", "damping law", "hysteresis", "tilt", "centre of mass",
     "length offset or scale",
 )  # fmt: skip
-START = "start"  # a sway phase of one recording
+START = "start"  # a sway of one recording, from its first pose on
 CENTER_EFFECTS = ("centre of mass", "centre of mass", "sway phase")  # x, y; z tunes the sway
 
 

@@ -26,7 +26,7 @@ from carosac_toolkit.validation.broken_channels import (
     find_slip,
     find_wrong_ratios,
 )
-from carosac_toolkit.validation.clocks import ALIGNED_CHANNELS, clock_warnings
+from carosac_toolkit.validation.clocks import CHECKED_CHANNELS, clock_warnings
 from carosac_toolkit.validation.pose_frames import RestDoubt, find_frames
 from carosac_toolkit.validation.scores import rotation_angle
 
@@ -96,12 +96,15 @@ def find_mix_ups(
     return tuple(sentences or _winch_range(trial))
 
 
-def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
+def find_misfits(
+    recording: Recording, robot: Robot, *, angles: Sequence[str] = ()
+) -> tuple[str, ...]:
     """List evidence that a robot does not match a recording; all samples are compared.
 
     Args:
         recording: N length samples, as calibrated.
         robot: With as many cables.
+        angles: As of `find_contradictions`.
 
     Returns:
         Sentences; none without poses, or where nothing contradicts the robot.
@@ -115,7 +118,8 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
         position=measured.pose.position[measured.valid],
         rotation=measured.pose.rotation[measured.valid],
     )
-    return find_contradictions(recording, robot, recording.unstrained_length[measured.valid], pose)
+    lengths = recording.unstrained_length[measured.valid]
+    return find_contradictions(recording, robot, lengths, pose, angles=angles)
 
 
 def find_contradictions(
@@ -125,7 +129,8 @@ def find_contradictions(
     pose: Pose,
     *,
     zeros_known: bool = True,
-    channels: Sequence[str] = ALIGNED_CHANNELS,
+    channels: Sequence[str] = CHECKED_CHANNELS,
+    angles: Sequence[str] = (),
     doubt: RestDoubt | None = None,
 ) -> tuple[str, ...]:
     """List evidence that a channel is broken, clocks are apart, or lengths and poses do not fit.
@@ -139,6 +144,7 @@ def find_contradictions(
         pose: Measured at the same times.
         zeros_known: See `find_mix_ups`.
         channels: Whose clocks matter.
+        angles: Channels of angles whose clocks matter too, and hide nothing.
         doubt: Of where the platform rests on some of the lengths; see `find_frames`.
 
     Returns:
@@ -147,8 +153,19 @@ def find_contradictions(
     first = tuple(find_repeated_pose(recording, robot)) or tuple(
         clock_warnings(recording, robot, channels)
     )
-    if first:
-        return first
+    apart = tuple(clock_warnings(recording, robot, angles)) if angles else ()
+    return (*(first or _mixed_up(recording, robot, length, pose, zeros_known, doubt)), *apart)
+
+
+def _mixed_up(
+    recording: Recording,
+    robot: Robot,
+    length: Array,
+    pose: Pose,
+    zeros_known: bool,
+    doubt: RestDoubt | None,
+) -> tuple[str, ...]:
+    """List evidence that lengths and poses do not fit, as `find_contradictions`."""
     mixed = find_mix_ups(robot, length, pose, zeros_known=zeros_known)
     mixed = mixed or tuple(find_wrong_ratios(robot, length, pose))
     if recording.metadata.length_kind != "unstrained":

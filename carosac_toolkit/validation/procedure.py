@@ -17,6 +17,7 @@ from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.another_robot import another_robot, cable_count_hint
+from carosac_toolkit.validation.clocks import ANGLE_CHANNELS
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.first_motion import first_motion
 from carosac_toolkit.validation.phases import anchor_speed, find_phases, slope
@@ -98,7 +99,8 @@ def validate(
     first = first_motion(recording, robot)
     scoring = _Scoring(recording, robot, index, measured, resting, rests, first)
     scored = {name: scoring.result(name, target, end, seed) for name, target in targets.items()}
-    warnings = (*other, *find_contradictions(recording, robot, lengths, measured))
+    found_wrong = find_contradictions(recording, robot, lengths, measured, angles=ANGLE_CHANNELS)
+    warnings = (*other, *found_wrong)
     moving = _best_moving(scored) if effects and not warnings else None
     if moving is not None:
         found = _effects(recording, robot, measured, moving)
@@ -185,7 +187,7 @@ class _Scoring:
     def result(self, name: str, target: Any, stop: int, seed: int) -> ModelResult:
         """Run and score one model."""
         try:
-            offered = uses_of(self._recording.sensors)
+            offered = uses_of(self._recording.sensors, simulated=False)
             model = build_plugin(target, self._robot, where=name, offered=offered, seed=seed)
             return self._score(name, run_open_loop(model, self._recording, stop, self._first))
         except (Exception, SystemExit) as error:  # a user's model may raise anything

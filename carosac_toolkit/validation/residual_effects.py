@@ -28,7 +28,7 @@ from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.clocks import channel_clocks
-from carosac_toolkit.validation.effect_signatures import effect_signatures
+from carosac_toolkit.validation.effect_signatures import START, effect_signatures
 from carosac_toolkit.validation.quantities import say_length
 
 SAMPLES_MIN = 60  # fewer tell no effects apart
@@ -53,7 +53,8 @@ class ResidualEffects:
 
     Attributes:
         rms: Of the error [m].
-        shares: By effect, largest first; never negative. Empty where there is no error.
+        shares: By effect, largest first; never negative. Empty where there is no error. Of several
+            recordings, `START` is what how each of them starts explains.
         ranges: By effect, what it adds to all others, and what it explains alone.
         other: Share that looks like none of them.
         jitter: Of single stamps, from lengths and poses [s]; NaN where it cannot be told.
@@ -68,11 +69,16 @@ class ResidualEffects:
     noise: float
 
     @property
+    def _effects(self) -> dict[str, float]:
+        """Shares of effects of the robot and its sensors."""
+        return {name: share for name, share in self.shares.items() if name != START}
+
+    @property
     def causes(self) -> tuple[str, ...]:
         """Effects with a share that no others explain as well, largest share first."""
         return tuple(
             name
-            for name, share in self.shares.items()
+            for name, share in self._effects.items()
             if min(share, self.ranges[name][0]) >= CAUSE_SHARE_MIN
         )
 
@@ -82,12 +88,12 @@ class ResidualEffects:
 
         Where not even the largest share has a cause, all that explain nearly as much alone.
         """
-        first = next(iter(self.shares), "")
+        first = next(iter(self._effects), "")
         known = not first or first in self.causes
         least = np.inf if known else RIVAL_SHARE_MIN * self.shares[first]
         return tuple(
             name
-            for name, share in self.shares.items()
+            for name, share in self._effects.items()
             if (share >= NAMED_SHARE_MIN or self.ranges[name][1] >= least)
             and name not in self.causes
         )
@@ -120,6 +126,8 @@ class ResidualEffects:
                 f"{name} ({_percents(self.ranges[name])})" for name in self.candidates
             )
             parts.append(f"candidates that cannot be told apart from others: {candidates}")
+        if self.shares.get(START, 0.0) >= NAMED_SHARE_MIN:
+            parts.append(f"the starts of the recordings {self.shares[START]:.0%}")
         if self.other >= NAMED_SHARE_MIN:
             parts.append(f"none of these effects {self.other:.0%}")
         return (
@@ -160,8 +168,8 @@ def residual_effects(robot: Robot, runs: Sequence[SimulatedRun]) -> ResidualEffe
     """Tell which effects the errors of open-loop simulations look like.
 
     Effects are of the robot, the same in all recordings. How each of several recordings starts is
-    fitted to its error first, and counts for nothing: a sway that is wrong from its start on is no
-    effect. In one recording it is a sway phase like others.
+    fitted to its error first: what that explains is no effect of the robot, and has a share of its
+    own, `START`. In one recording it is a sway phase like others.
 
     Args:
         robot: That was simulated.
@@ -171,20 +179,21 @@ def residual_effects(robot: Robot, runs: Sequence[SimulatedRun]) -> ResidualEffe
         CarosacError: Too few samples, or a robot that cannot rest on the lengths.
     """
     ratios = Scales(robot).ratios
-    used = _used(runs, DURATION_MAX.of(ratios), RATE_MAX.of(ratios))
     least = DURATION_MIN.of(ratios)
+    used = _used(runs, least, DURATION_MAX.of(ratios), RATE_MAX.of(ratios))
     samples, duration = sum(len(x.time) for x in used), sum(x.duration for x in used)
     if samples < SAMPLES_MIN or duration < least:
         allowed = f"at least {SAMPLES_MIN} over {least:.3g} s, to tell effects apart"
         raise InvalidField("samples", f"{samples} over {duration:.3g} s", allowed)
     signed = [_signed(run, robot, alone=len(used) == 1) for run in used]
-    error = np.concatenate([x.error for x in signed])
     speed = np.concatenate([x.speed for x in signed])
-    square = float((error**2).sum(axis=1).mean())
+    square = float(np.concatenate([x.squares for x in signed]).mean())
     if not square > 0.0:
         return ResidualEffects(rms=0.0, shares={}, ranges={}, other=0.0, jitter=np.nan, noise=0.0)
     regression = _Regression([x.motion for x in signed], [x.error for x in signed])
-    shares, left = _shares(regression), regression.left(regression.names)
+    beside = float(np.concatenate([(x.error**2).sum(axis=1) for x in signed]).mean()) / square
+    shares = {name: beside * share for name, share in _shares(regression).items()}
+    left = regression.left(regression.names)
     jitter = _jitter([run.recording for run in used], robot)
     noise = _white(left, speed)
     pace = float((speed**2).sum(axis=1).mean())
@@ -192,7 +201,10 @@ def residual_effects(robot: Robot, runs: Sequence[SimulatedRun]) -> ResidualEffe
         "jitter": min(float(np.nan_to_num(jitter)) ** 2 * pace / square, 1.0),
         "sensor": min(noise**2 / square, 1.0),
     }
-    ranges = _ranges(regression) | {name: (share, share) for name, share in white.items()}
+    if len(used) > 1:
+        white[START] = 1.0 - beside
+    ranges = {name: (beside * a, beside * b) for name, (a, b) in _ranges(regression).items()}
+    ranges |= {name: (share, share) for name, share in white.items()}
     return _result(float(np.sqrt(square)), shares | white, ranges, float(jitter), noise)
 
 
@@ -201,11 +213,13 @@ class _Signed:
     """The error of a run and the signatures of effects, beside its start.
 
     Attributes:
+        squares: Of the error as it is, turns included [m^2], shape (K,).
         error: Shape (K, 6).
         motion: For each effect, columns (K, 6, c).
         speed: Of the simulated motion, shape (K, 6).
     """
 
+    squares: Array
     error: Array
     motion: dict[str, Array]
     speed: Array
@@ -216,14 +230,16 @@ def _signed(run: SimulatedRun, robot: Robot, *, alone: bool) -> _Signed:
     signatures = effect_signatures(run.recording, robot, run.time, run.modelled)
     error = _error(run.measured, run.modelled, signatures.lever)
     motion, start = dict(signatures.motion), signatures.start
+    squares = (error**2).sum(axis=1)
     if alone:
         parts = [motion[SWAY_PHASE], start] if SWAY_PHASE in motion else [start]
         if parts[-1].shape[2]:
             motion[SWAY_PHASE] = np.concatenate(parts, axis=2)
-        return _Signed(error=error, motion=motion, speed=signatures.speed)
+        return _Signed(squares=squares, error=error, motion=motion, speed=signatures.speed)
     basis, sizes, _ = np.linalg.svd(start.reshape(error.size, -1), full_matrices=False)
     basis = basis[:, sizes > START_SIZE_MIN * sizes.max(initial=0.0)]
     return _Signed(
+        squares=squares,
         error=_beside(basis, error[:, :, None])[:, :, 0],
         motion={name: _beside(basis, each) for name, each in motion.items()},
         speed=signatures.speed,
@@ -236,11 +252,14 @@ def _beside(basis: Array, columns: Array) -> Array:
     return np.asarray((flat - basis @ (basis.T @ flat)).reshape(columns.shape))
 
 
-def _used(runs: Sequence[SimulatedRun], longest: float, rate: float) -> list[SimulatedRun]:
+def _used(
+    runs: Sequence[SimulatedRun], least: float, longest: float, rate: float
+) -> list[SimulatedRun]:
     """Return the runs that are used, with as many poses as are.
 
     Args:
         runs: Of all recordings.
+        least: Of one run that is long enough, of all of which more can be used [s].
         longest: Of all of them together [s].
         rate: Of poses, at most [Hz].
     """
@@ -249,10 +268,13 @@ def _used(runs: Sequence[SimulatedRun], longest: float, rate: float) -> list[Sim
         away = run.modelled.position - run.measured.position
         return float((away**2).mean()) if len(away) else 0.0
 
-    long = [run for run in runs if len(run.time) >= RUN_SAMPLES_MIN] or list(runs)
+    alone = len(runs) == 1
+    long = [run for run in runs if alone or len(run.time) >= RUN_SAMPLES_MIN]
     ordered = sorted(long, key=size, reverse=True)
-    typical = float(np.median([run.duration for run in ordered]))
-    count = len(ordered) if typical <= 0.0 else max(1, int(longest / typical))
+    if not ordered:
+        return []
+    typical = min(least, float(np.median([run.duration for run in ordered])))
+    count = max(1, int(longest / typical)) if typical > 0.0 else 1
     chosen = [ordered[k] for k in evenly(len(ordered), count)]
     each = longest / len(chosen)
     return [_thinned(run, rate, each) for run in chosen]

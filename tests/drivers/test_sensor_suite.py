@@ -235,8 +235,10 @@ def test_swivel_encoders_see_where_cables_leave_their_pulleys(kind):
 
 
 def test_swivel_angles_need_pulleys_and_a_plant_that_knows_them():
-    with pytest.raises(InvalidField, match="the robot has no pulleys"):
+    with pytest.raises(InvalidField, match=r"suite: got 'lengths\+swivel'.*has no pulleys"):
         SensorSuite("lengths+swivel", PERFECT_SENSORS, TurningPlant(), 0)
+    with pytest.raises(InvalidField, match=r"sensors.swivel: got True; .*has no pulleys"):
+        SensorSuite("lengths", replace(PERFECT_SENSORS, swivel=True), TurningPlant(), 0)
     with pytest.raises(InvalidField, match="this plant has no swivel angles"):
         pulleys = replace(TurningPlant().robot, pulley_radius=np.full(4, 0.05))
         SensorSuite("lengths+swivel", PERFECT_SENSORS, TurningPlant(robot=pulleys), 0)

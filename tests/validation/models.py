@@ -80,17 +80,17 @@ class Uses:
     """Settings of `Using`."""
 
     swivels: bool = False
-    attitude: bool = False
+    load_cells: str = "a name that a switch has elsewhere"
 
 
 class Using(Constant):
-    """Lies a metre higher if it is told of swivel angles, and ten if of an orientation."""
+    """Lies a metre higher if it is told of swivel angles."""
 
     Settings = Uses
 
     @classmethod
     def build(cls, robot, settings, *, seed):
-        return cls(robot, 1.0 * settings.swivels + 10.0 * settings.attitude)
+        return cls(robot, 1.0 * settings.swivels)
 
     def believe(self, measurement, count):
         return super().believe(measurement, count, shift=self.seed)

@@ -198,7 +198,8 @@ def test_short_runs_tell_together_what_none_tells_alone(effect):
         residual_effects(ROBOT, runs[:1])
     found = residual_effects(ROBOT, runs)
     assert found.causes[:1] in ((), (effect,)), found
-    assert found.ranges[effect][1] > 0.3 and effect in found.sentence("simulator"), found
+    left = 1.0 - found.shares["start"]  # a decay over seconds looks like another start, in part
+    assert found.ranges[effect][1] > 0.3 * left and effect in found.sentence("simulator"), found
 
 
 def test_a_start_that_is_wrong_in_each_run_is_no_effect_of_the_robot():
@@ -212,7 +213,8 @@ def test_a_start_that_is_wrong_in_each_run_is_no_effect_of_the_robot():
         position = run.measured.position + sway
         runs.append(replace(run, measured=replace(run.measured, position=position)))
     found = residual_effects(ROBOT, runs)
-    assert next(iter(found.shares)) == "tilt" and found.other < 0.3, found
+    assert found.shares["start"] > 0.2 and "the starts of the recordings" in found.sentence("model")
+    assert (*found.causes, *found.candidates)[0] == "tilt" and found.other < 0.3, found
 
 
 def test_of_many_runs_the_worst_is_used(monkeypatch):

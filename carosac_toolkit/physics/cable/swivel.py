@@ -43,6 +43,18 @@ def swivel_angle(robot: Robot, leaving: Array) -> Array:
     return np.where(robot.pulley_radius > 0.0, angle, 0.0)
 
 
+def straight_swivel_angle(robot: Robot, position: Array, rotation: Array) -> Array:
+    """Return the swivel angles of straight cables to a platform [rad], shape (B, n).
+
+    Args:
+        robot: Robot description, n cables.
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+    """
+    anchors = position[:, None] + robot.anchor_points @ rotation.swapaxes(1, 2)
+    return swivel_angle(robot, anchors - robot.exit_points)
+
+
 def swivel_slope(robot: Robot, leaving: Array) -> Array:
     """Return the change of `swivel_angle` per change of the vectors [rad/m], shape (B, n, 3).
 

@@ -160,7 +160,7 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
     if case.estimator == TRUTH:
         return Truth(driver)
     sensors = case.sensors.split("+")
-    given = {"load_cells": "tension" in sensors, **uses_of(sensors)}
+    given = {"load_cells": "tension" in sensors, **uses_of(sensors, simulated=not replays(driver))}
     asked = case.settings.get("estimator_settings", {})
     given = {name: value for name, value in given.items() if name not in asked}
     return build_part("estimators", case.estimator, robot, case, "estimator_settings", given)

@@ -176,8 +176,10 @@ def test_all_sensors_meet_the_same_motion(sensors):
 def test_an_estimator_uses_the_sensors_of_the_suite(sensors, used):
     """It has states for what they err by."""
     chosen = case(estimator="dynamic_estimator", sensors=sensors)
-    settings = estimator_of(chosen, simple_robot(), None)._settings
-    assert (settings.load_cells, settings.swivels, settings.attitude) == used
+    robot = simple_robot(pulley_radius=np.full(4, 0.05))
+    settings = estimator_of(chosen, robot, None)._settings
+    mounted = settings.attitude_rotation is not None
+    assert (settings.load_cells, settings.swivels, mounted) == used
 
 
 def test_the_wind_of_a_condition_reaches_the_driver_that_has_one(watched):
