@@ -71,6 +71,7 @@ bars: $(STAMP)  ## run the slow acceptance measurements but `learning`; figures 
 	$(BIN)/python -m benchmarks.calibration_candidates
 	$(BIN)/python -m benchmarks.estimators
 	$(BIN)/python -m benchmarks.controllers
+	$(BIN)/python -m benchmarks.mpc_friction
 	$(BIN)/python -m benchmarks.similarity
 	$(BIN)/python -m benchmarks.similarity --no-counts
 	$(BIN)/python -m benchmarks.any_robot
