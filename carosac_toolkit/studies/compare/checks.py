@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from carosac_toolkit.base.settings import filled
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import plugin_name
 
 RECORDED_TRAJECTORY = "recorded"  # the path of a recording, the only one on a driver that replays
@@ -74,6 +76,14 @@ def check_sensors(driver: Any, name: str, sensors: Sequence[str]) -> None:
                 replace(kinds(), suite=suite)  # type: ignore[misc]
             except InvalidField as error:
                 raise InvalidField("sensors", error.value, error.allowed) from error
+
+
+def check_pulleys(robots: Sequence[Robot], sensors: Sequence[str]) -> None:
+    """Refuse swivel encoders on simulated robots without pulleys."""
+    for robot, suite in product(robots, sensors):
+        if "swivel" in suite.split("+") and not (robot.pulley_radius > 0.0).any():
+            allowed = f"one without swivel: robot {robot.name!r} has no pulleys"
+            raise InvalidField("sensors", repr(suite), allowed)
 
 
 def check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:

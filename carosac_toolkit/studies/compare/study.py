@@ -22,6 +22,7 @@ from carosac_toolkit.studies.compare.checks import (
     RECORDED_TRAJECTORY,
     check_known,
     check_positive,
+    check_pulleys,
     check_sensors,
     check_settings,
     check_truth,
@@ -324,8 +325,9 @@ def _check(study: Study) -> None:
     _check_trajectories(study, replayed=replays(driver))
     study.cases()
     _check_execution(study)
-    for robot in study.robots:
-        load_robot(robot)
+    robots = [load_robot(robot) for robot in study.robots]
+    if not replays(driver):
+        check_pulleys(robots, study.sensors)
     for name in study.perturbations:
         find_condition(name)
     own = own_settings(study.driver, study.driver_settings)

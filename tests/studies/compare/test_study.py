@@ -276,6 +276,7 @@ def test_a_driver_has_the_same_defaults_by_its_name_and_as_its_class():
             {"driver_settings": {"wind_force": 2.0}},
             "driver_settings.wind_force: got 2.0; allowed: none",
         ),
+        ({"sensors": ["lengths+swivel"]}, "robot 'carosac' has no pulleys"),
         ({"driver": PLAIN, "sensors": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
         ({"driver": PLAIN, "estimators": ["truth"]}, f"driver {PLAIN} knows no truth"),
         ({"speed_max": float("nan")}, "speed_max: got nan m/s"),
