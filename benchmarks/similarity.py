@@ -57,6 +57,8 @@ SENSOR_UNITS = {
     "imu_rate": "Hz", "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
     "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2", "imu_delay": "s",
     "tension_rate": "Hz", "tension_noise": "N", "tension_bias": "N", "tension_delay": "s",
+    "swivel_rate": "Hz", "swivel_delay": "s", "attitude_rate": "Hz", "attitude_delay": "s",
+    "inclination_rate": "Hz", "inclination_delay": "s",
 }  # fmt: skip
 # What estimators are told of the sensors, with units; other settings are theirs to derive.
 TOLD_OF_SENSORS: Mapping[str, Mapping[str, str]] = {
@@ -65,7 +67,7 @@ TOLD_OF_SENSORS: Mapping[str, Mapping[str, str]] = {
         "angular_rate_noise": "rad/s", "angular_rate_bias": "rad/s",
         "specific_force_noise": "m/s^2", "specific_force_bias": "m/s^2",
         "position_noise": "m", "rotation_noise": "rad",
-        "load_cell_noise": "N", "load_cell_bias": "N",
+        "load_cell_noise": "N", "load_cell_bias": "N", "attitude_heading_walk": "1/sqrt(s)",
     },
     "ks_ekf": {
         "length_noise": "m", "length_bias": "m",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from carosac_toolkit.base.tables import Rows
+from carosac_toolkit.validation.effect_signatures import START
 from carosac_toolkit.validation.quantities import say_length, unit_for
 from carosac_toolkit.validation.residual_effects import ResidualEffects
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
@@ -29,6 +30,7 @@ EFFECT_MEANINGS = {
     "tilt": "of the frame of the poses, or of gravity in it",
     "centre of mass": "its horizontal place on the platform",
     "length offset or scale": "of each cable",
+    START: "a sway that is wrong from the first pose of a recording on",
     "jitter": "of the time stamps from sample to sample",
     "sensor": "white noise",
     "other": "none of these",
