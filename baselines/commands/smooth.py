@@ -30,6 +30,7 @@ from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.cli.outputs import same_file
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.files import load_recording, save_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.bundled_names import list_robots
@@ -95,6 +96,7 @@ def run(options: Options) -> CommandResult:
     path = find_recording(options.recording)
     check_writable("--output", options.output, RECORDING_SUFFIXES)
     recording = load_recording(path)
+    _check_mounting(options, recording)
     origin = find_robot(recording, path, options.robot)
     folder = options.report or _default_folder(path, origin, options.poses)
     check_folder("--report", folder)
@@ -156,6 +158,18 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
             if same_file(target, path):
                 allowed = f"another path; {other} writes '{path}'"
                 raise InvalidField(option, f"'{target}'", allowed)
+
+
+def _check_mounting(options: Options, recording: Recording) -> None:
+    """Refuse a mounting of a sensor that is not there, or not to be used."""
+    if options.mounting is None:
+        return
+    stated = " ".join(f"{value:g}" for value in options.mounting)
+    if not options.angles:
+        raise InvalidField("--mounting", stated, "nothing with --no-angles")
+    if recording.attitude is None and recording.inclination is None:
+        allowed = "nothing: the recording has no attitude or inclination"
+        raise InvalidField("--mounting", stated, allowed)
 
 
 def _settings(options: Options) -> SmootherSettings:

@@ -110,8 +110,13 @@ def _used(result: Smoothed) -> str:
     if result.poses:
         parts.append(f"{result.poses} measured poses")
     lag = result.settings.lag
+    run = result.recording
+    unmounted = run.attitude is not None or run.inclination is not None
+    left = ""
+    if unmounted and result.settings.angles and result.mounting is None:
+        left = " Not used: the AHRS or inclinometer, as --mounting does not say how it is mounted."
     until = "of the whole recording" if lag is None else f"up to at least {lag:g} s later"
-    return f"Used: {', '.join(parts)}, {until}."
+    return f"Used: {', '.join(parts)}, {until}.{left}"
 
 
 def _sigma(result: Smoothed) -> str:

@@ -56,7 +56,9 @@ class SimulatedSettings:
     real_time: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an unknown suite, and a switch that is not a bool."""
+        """Refuse an unknown suite, sensors of another type, and a switch that is not a bool."""
+        if not isinstance(self.sensors, SensorSettings):
+            raise InvalidField("sensors", repr(self.sensors), "SensorSettings(...)")
         check_suite(self.suite, inertial=self.inertial)
         if not isinstance(self.real_time, bool):
             raise InvalidField("real_time", repr(self.real_time), "True or False")

@@ -35,6 +35,15 @@ def words(run_file, *more):
     return ["smooth", str(run_file), "--robot", "carosac", *more]
 
 
+def test_a_mounting_needs_a_sensor_that_is_used(run_file, capsys):
+    for more, said in (
+        ((), "--mounting: got 0 0 1; allowed: nothing: the recording has no attitude"),
+        (("--no-angles",), "--mounting: got 0 0 1; allowed: nothing with --no-angles"),
+    ):
+        assert main(words(run_file, "--mounting", "0", "0", "1", *more)) == 2
+        assert said in capsys.readouterr().err
+
+
 def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     import pyarrow.parquet as pq
 

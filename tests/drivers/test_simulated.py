@@ -159,6 +159,8 @@ def test_a_misjudged_drum_is_seen_in_truth_and_not_by_the_encoders():
 def test_an_unknown_suite_is_refused_and_each_driver_says_what_it_has():
     with pytest.raises(InvalidField, match=r"suite: got 'imu'; .*\+inclination, in this order$"):
         SimulatedSettings(suite="imu")
+    with pytest.raises(InvalidField, match=r"sensors: got \{'swivel': True\}; .*SensorSettings"):
+        SimulatedSettings(sensors={"swivel": True})
     with pytest.raises(InvalidField, match="real_time: got 'yes'; allowed: True or False"):
         SimulatedSettings(real_time="yes")
 

@@ -119,6 +119,9 @@ def test_an_ahrs_whose_mounting_is_not_stated_is_not_used(angles):
     robot, recording, _ = angles
     arranged = arrange(recording, robot, settings())
     assert {name for each in arranged.readings.values() for name in each} == {"swivel_angle"}
+    said = "Not used: the AHRS or inclinometer"
+    assert said in sentences(smooth(recording, robot, settings()))[0]
+    assert said not in sentences(smooth(recording, robot, mounted()))[0]
 
 
 def test_zeros_of_swivel_angles_are_found_from_nothing(angles):
