@@ -9,6 +9,7 @@ from baselines.smoother.scores import SmoothingScores
 from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.base.tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
+from carosac_toolkit.validation.scores import rotation_angle
 
 IMPLAUSIBLE_DEVIATIONS = 3.0  # sigma
 ANGLE_NAMES = {
@@ -93,8 +94,8 @@ def _turned(result: Smoothed) -> float:
     stated = result.settings.dynamics.attitude_rotation
     if stated is None or result.mounting is None:
         return 0.0
-    turn = from_rotation_vector(np.array(stated)).T @ result.mounting
-    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    begun = from_rotation_vector(np.array([stated]))
+    return float(rotation_angle(begun, result.mounting[None])[0])
 
 
 def _used(result: Smoothed) -> str:

@@ -170,7 +170,7 @@ def _rest(
     for key in sorted(measured.readings):
         for channel, value in measured.readings[key].items():
             rest = prepared(robot, rest, channel, value)  # as if there had been no motion yet
-    return rest
+    return replace(rest, swivel_offset=np.nan_to_num(rest.swivel_offset))  # 0 where none tells it
 
 
 def _solved(

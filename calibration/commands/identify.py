@@ -24,10 +24,10 @@ from typing import Annotated
 
 import tyro
 
-from calibration.identification.effects import effects_sentence, remaining_effects
+from calibration.identification.effects import remaining_effects
 from calibration.identification.frequencies import load_frequencies
 from calibration.identification.procedure import identify, identify_runs
-from calibration.identification.report import report_content
+from calibration.identification.report import IDENTIFIED, report_content
 from calibration.identification.result import Identification
 from calibration.identification.settings import CANDIDATE_SIGMAS, IdentificationSettings
 from calibration.report import (
@@ -46,7 +46,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.residual_effects import ResidualEffects
+from carosac_toolkit.validation.residual_effects import ResidualEffects, effects_sentence
 
 Range = tuple[int, int]
 COMMAND_OPTIONS = (
@@ -234,7 +234,7 @@ def _print(result: Identification, effects: ResidualEffects | str) -> None:
     """Print what was found, and what the error looks like, or why that cannot be told."""
     print_parameters(result.estimate)
     print()
-    left = effects_sentence(effects)
+    left = effects_sentence(effects, IDENTIFIED)
     print_sentences([*result.sentences(), left, *result.observability.sentences()])
 
 

@@ -44,13 +44,6 @@ def remaining_effects(
         return str(error)
 
 
-def effects_sentence(effects: ResidualEffects | str) -> str:
-    """Say what the error looks like, or why that cannot be told."""
-    if isinstance(effects, ResidualEffects):
-        return effects.sentence("the identified robot")
-    return f"What the error of the identified robot looks like cannot be told: {effects}."
-
-
 def _simulated(recording: Recording, run: IdentifiedRun, turn: Array) -> SimulatedRun:
     """Return a recording with its poses, in the frame of the identified robot.
 

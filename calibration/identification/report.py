@@ -7,7 +7,6 @@ from html import escape
 
 import numpy as np
 
-from calibration.identification.effects import effects_sentence
 from calibration.identification.frequencies import FREQUENCY_HEADER
 from calibration.identification.pictures import draw_motion, draw_rests, draw_runs
 from calibration.identification.result import Identification, ScoredRange
@@ -17,9 +16,10 @@ from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import table
 from carosac_toolkit.reports.validation import EFFECTS_TEXT
-from carosac_toolkit.validation.residual_effects import ResidualEffects
+from carosac_toolkit.validation.residual_effects import ResidualEffects, effects_sentence
 from carosac_toolkit.validation.tables import EFFECT_HEADER, effect_rows
 
+IDENTIFIED = "the identified robot"
 SCORE_HEADER = (
     "samples", "robot", "x [mm]", "y [mm]", "z [mm]", "norm [mm]", "largest [mm]", "angle [deg]",
 )  # fmt: skip
@@ -75,7 +75,7 @@ def report_content(
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
         "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)
     )
-    left = f"<p>{escape(effects_sentence(effects))}</p>"
+    left = f"<p>{escape(effects_sentence(effects, IDENTIFIED))}</p>"
     if isinstance(effects, ResidualEffects):
         left = EFFECTS_TEXT + table(EFFECT_HEADER, effect_rows(effects), left=1)
     left = f"<h2>What the remaining error looks like</h2>{left}"

@@ -68,7 +68,7 @@ class SensorSuite:
         self._lines = _delay_lines(settings.sensors_of(suite), settings)
         self._rng = _streams(seed, self._size)
         self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
-        self._constant = self._turns()
+        self._constant = self._constant_errors()
         self._reading = self._encoded(plant)
         self._measured: Measurement | None = None
 
@@ -106,7 +106,7 @@ class SensorSuite:
         Call `restart` before the next sample, once these robots have been set down.
         """
         mine = (self.encoder_bias, self._tension_bias, self._imu_bias, *self._constant.values())
-        drawn = (*self._biases(), *self._turns().values())
+        drawn = (*self._biases(), *self._constant_errors().values())
         for bias, other in zip(mine, drawn, strict=True):
             bias[rows] = other[rows]
 
@@ -138,12 +138,10 @@ class SensorSuite:
                 time=np.full(self._size, now),
                 unstrained_length=self.newest_lengths(now),
                 length_rate=self._stamped("encoders", now, self._n),
-                tension=self._stamped("tension", now) if "tension" in self._lines else None,
-                swivel_angle=self._stamped("swivel", now) if "swivel" in self._lines else None,
-                attitude=self._stamped("attitude", now) if "attitude" in self._lines else None,
-                inclination=(
-                    self._stamped("inclination", now) if "inclination" in self._lines else None
-                ),
+                tension=self._newest("tension", now),
+                swivel_angle=self._newest("swivel", now),
+                attitude=self._newest("attitude", now),
+                inclination=self._newest("inclination", now),
                 pose=self._measured_pose(now) if "pose" in self._lines else None,
                 imu=self._measured_imu(now) if "imu" in self._lines else None,
             )
@@ -187,7 +185,7 @@ class SensorSuite:
             scale * self._draw("imu_bias", 6),
         )
 
-    def _turns(self) -> dict[str, Array]:
+    def _constant_errors(self) -> dict[str, Array]:
         """Draw constant errors of the sensors that are there, by their stream.
 
         Those are scales of load cells, (B, n), zeros of swivel angles, (B, n) [rad], rotation
@@ -289,6 +287,10 @@ class SensorSuite:
         """Return the newest sample of a sensor from a column on."""
         taken_at, packed = self._lines[sensor].newest(now)
         return Stamped(time=np.full(self._size, taken_at), value=packed[:, first:])
+
+    def _newest(self, sensor: str, now: float) -> Stamped | None:
+        """Return the newest sample of a sensor; None where it is not there."""
+        return self._stamped(sensor, now) if sensor in self._lines else None
 
     def _measured_pose(self, now: float) -> Pose:
         """Return the newest pose that has arrived."""

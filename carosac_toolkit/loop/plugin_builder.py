@@ -63,15 +63,14 @@ def settings_of(
             name = getattr(plugin, "__name__", repr(plugin))  # an instance has none
             raise InvalidField(where, dict(asked), f"nothing: {name} has no Settings")
         return None
-    check_types(where, kind(), asked)
-    names = setting_names(plugin)
-    usual = kind()
+    usual, names = kind(), setting_names(plugin)
+    check_types(where, usual, asked)
     known = {
         name: value
         for name, value in offered.items()
         if name in names and (isinstance(getattr(usual, name), bool) or not isinstance(value, bool))
     }
-    return filled(where, kind(), {**known, **asked})
+    return filled(where, usual, {**known, **asked})
 
 
 def setting_names(plugin: Any) -> set[str]:

@@ -21,7 +21,7 @@ from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import to_matrix, vertical
 from carosac_toolkit.physics.cable.straight_line import straight_length
-from carosac_toolkit.physics.cable.swivel import swivel_angle
+from carosac_toolkit.physics.cable.swivel import straight_swivel_angle
 from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -324,8 +324,7 @@ class _Comparisons:
         if not pulleys.any():
             raise UnknownShift("the robot has no pulleys")
         time, position, rotation, _ = self._motion()
-        anchors = position[:, None] + robot.anchor_points @ rotation.swapaxes(1, 2)
-        expected = swivel_angle(robot, anchors - robot.exit_points)
+        expected = straight_swivel_angle(robot, position, rotation)
         said, told = (
             Signal(time=when, value=np.unwrap(value[:, pulleys], axis=0))
             for when, value in ((measured.time, measured.value), (time, expected))

@@ -8,6 +8,7 @@ import numpy as np
 
 from carosac_toolkit.validation.plausibility import doubt_exit_points
 from carosac_toolkit.validation.quantities import say_length
+from carosac_toolkit.validation.residual_effects import effects_sentence
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
 NEES_HONEST = (0.5, 2.0)  # per degree of freedom: what a model claims is about what it errs
@@ -235,10 +236,5 @@ def _sag(best: ModelResult) -> Iterator[str]:
 
 def _effects(result: ValidationResult) -> Iterator[str]:
     """Name the effects that the error of the best model of motion looks like."""
-    if result.effects is not None:
-        yield result.effects.sentence(result.effects_model)
-    elif result.effects_model:
-        yield (
-            f"What the error of {result.effects_model} looks like cannot be told: "
-            f"{result.effects_reason}."
-        )
+    if result.effects_model:
+        yield effects_sentence(result.effects or result.effects_reason, result.effects_model)

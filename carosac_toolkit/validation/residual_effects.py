@@ -136,6 +136,13 @@ class ResidualEffects:
         )
 
 
+def effects_sentence(effects: ResidualEffects | str, whose: str) -> str:
+    """Say what the error of a model or robot looks like, or by a reason why that cannot be told."""
+    if isinstance(effects, ResidualEffects):
+        return effects.sentence(whose)
+    return f"What the error of {whose} looks like cannot be told: {effects}."
+
+
 def _percents(ends: tuple[float, float]) -> str:
     """Say a range of shares: ``2 to 80%``."""
     low, high = min(ends), max(ends)
