@@ -16,13 +16,14 @@ import numpy as np
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
 from carosac_toolkit.physics.device import lever
+from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.writer import robot_document
+from carosac_toolkit.validation.effect_signatures import ANCHOR_MOMENT_SIGMA, EXIT_MOMENT_SIGMA
 
 COMMAND = "python -m benchmarks.mpc_friction"
 SIZES = (0.0, 1.0, 3.0)
-EXIT_SHARE, ANCHOR_SHARE = 2e-3, 0.02  # of the weight per cable, times length and lever arm
 ESTIMATORS = ("truth", "dynamic_estimator")
 SEEDS = 5
 
@@ -30,8 +31,8 @@ SEEDS = 5
 def moments(robot: Robot, size: float) -> tuple[float, float]:
     """Return the dry moments at exits and anchors [N m]."""
     share = size * robot.weight / robot.n
-    length = float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
-    return EXIT_SHARE * share * length, ANCHOR_SHARE * share * lever(robot)
+    exit_moment = EXIT_MOMENT_SIGMA * share * Scales(robot).length
+    return exit_moment, ANCHOR_MOMENT_SIGMA * share * lever(robot)
 
 
 def write_robot(folder: Path, size: float) -> Path:
