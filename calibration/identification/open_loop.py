@@ -294,7 +294,8 @@ class _Starts:
         Raises:
             CarosacError: The first robot of a run cannot hang.
         """
-        rest = statics.forward_kinematics(Fleet(robots), lengths[0])
+        fleet = Fleet(robots)
+        rest = statics.forward_kinematics(fleet, lengths[0])
         hangs = rest.converged & rest.stable
         rate = np.zeros_like(lengths[0])
         if len(lengths) > 1:
@@ -320,7 +321,7 @@ class _Starts:
         which = np.flatnonzero(moves)
         if len(which):
             position[which], rotation[which], twist[which] = swaying_states(
-                sways, [robots[int(b)] for b in which],
+                sways, fleet.rows(which),
                 Pose(position=rest.position[which], rotation=rest.rotation[which]),
                 lengths[0, which], rate[which], coordinates,
             )  # fmt: skip

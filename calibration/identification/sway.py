@@ -22,6 +22,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.loop.values import Belief, Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.held_lengths import (
     moved_poses,
     poses_on_lengths,
@@ -150,7 +151,7 @@ def find_sway(
 
 def swaying_states(
     sways: Sequence[FreeSway],
-    robots: Sequence[Robot],
+    fleet: Fleet,
     rest: Pose,
     length: Array,
     rate: Array,
@@ -164,7 +165,7 @@ def swaying_states(
 
     Args:
         sways: Their free directions.
-        robots: B robots, n cables each.
+        fleet: B robots, n cables each.
         rest: Their equilibria, B of them.
         length: Unstrained lengths there [m], shape (B, n).
         rate: Of these [m/s], shape (B, n).
@@ -179,55 +180,45 @@ def swaying_states(
     position, rotation = moved_poses(rest.position, rest.rotation, move)
     longer, faster = (
         np.array([
-            np.broadcast_to(sway.elongations(each)[k], robot.n)
-            for sway, each, robot in zip(sways, coordinates, robots, strict=True)
+            np.broadcast_to(sway.elongations(each)[k], fleet.n)
+            for sway, each in zip(sways, coordinates, strict=True)
         ])
         for k in range(2)
     )  # fmt: skip
-    twist = np.empty_like(free)
-    rows: dict[int, list[int]] = {}  # of each robot: its worlds are one batch
-    for b, robot in enumerate(robots):
-        rows.setdefault(id(robot), []).append(b)
-    for own in rows.values():
-        robot = robots[own[0]]
-        wanted = straight_length(robot, rest.position[own], rest.rotation[own]).length
-        wanted = wanted + longer[own]
-        position[own], rotation[own] = poses_on_lengths(robot, position[own], rotation[own], wanted)
-        twist[own] = twists_on_rates(
-            robot, position[own], rotation[own], length[own], rate[own] + faster[own],
-            free[own],
+    wanted = straight_length(fleet, rest.position, rest.rotation).length + longer
+    position, rotation = poses_on_lengths(fleet, position, rotation, wanted)
+    twist = twists_on_rates(fleet, position, rotation, length, rate + faster, free)
+    calm = np.flatnonzero([sway.begin is not None for sway in sways])
+    if len(calm):
+        robots = fleet.rows(calm)
+        stretch, growth = _stretch_in_motion(
+            robots, Pose(position=rest.position[calm], rotation=rest.rotation[calm]),
+            Pose(position=position[calm], rotation=rotation[calm]), twist[calm], length[calm],
         )  # fmt: skip
-        calm = [b for b in own if sways[b].begin is not None]
-        if calm:
-            stretch, growth = _stretch_in_motion(
-                robot, Pose(position=rest.position[calm], rotation=rest.rotation[calm]),
-                Pose(position=position[calm], rotation=rotation[calm]), twist[calm], length[calm],
-            )  # fmt: skip
-            long = wanted[[own.index(b) for b in calm]] + stretch
-            position[calm], rotation[calm] = poses_on_lengths(
-                robot, position[calm], rotation[calm], long
-            )
-            twist[calm] = twists_on_rates(
-                robot, position[calm], rotation[calm], length[calm],
-                rate[calm] + faster[calm] + growth, free[calm],
-            )  # fmt: skip
+        position[calm], rotation[calm] = poses_on_lengths(
+            robots, position[calm], rotation[calm], wanted[calm] + stretch
+        )
+        twist[calm] = twists_on_rates(
+            robots, position[calm], rotation[calm], length[calm],
+            rate[calm] + faster[calm] + growth, free[calm],
+        )  # fmt: skip
     return position, rotation, twist
 
 
 def _stretch_in_motion(
-    robot: Robot, rest: Pose, pose: Pose, twist: Array, length: Array
+    fleet: Fleet, rest: Pose, pose: Pose, twist: Array, length: Array
 ) -> tuple[Array, Array]:
     """Return by how much a swing stretches cables beyond their rest [m], and how fast [m/s].
 
     Both (B, n): what straight cables pull that keep their lengths, over their stiffness. A platform
     that starts so hardly vibrates.
     """
-    at_rest, _ = pull_of_held_cables(robot, rest.position, rest.rotation, np.zeros_like(twist))
-    pull, change = pull_of_held_cables(robot, pose.position, pose.rotation, twist)
-    step = RATE_STEP_SHARE * float(np.sqrt(length.mean() / robot.gravity))
+    at_rest, _ = pull_of_held_cables(fleet, rest.position, rest.rotation, np.zeros_like(twist))
+    pull, change = pull_of_held_cables(fleet, pose.position, pose.rotation, twist)
+    step = RATE_STEP_SHARE * np.sqrt(length.mean(axis=1, keepdims=True) / fleet.gravity)  # (B, 1)
     there = moved_poses(pose.position, pose.rotation, step * twist)
-    later, _ = pull_of_held_cables(robot, *there, twist + step * change)
-    softness = (length + robot.run_length) / robot.axial_stiffness
+    later, _ = pull_of_held_cables(fleet, *there, twist + step * change)
+    softness = (length + fleet.run_length) / fleet.axial_stiffness
     return softness * (pull - at_rest), softness * (later - pull) / step
 
 

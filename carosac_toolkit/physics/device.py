@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -25,9 +26,16 @@ BUFFER_SETS_MAX = 12  # sets of buffers remembered per robot
 KEPT_BATCH_MAX = 4096  # larger batches allocate anew: their solve takes far longer
 
 
+@cache
+def record_type(struct: Any) -> np.dtype[Any]:
+    """Return the NumPy type of records of a Warp struct, which takes Warp long to find."""
+    kind: np.dtype[Any] = np.dtype(struct.numpy_dtype())
+    return kind
+
+
 def cable_records(robot: Robot) -> NDArray[Any]:
     """Return the cables of a robot as an array of `Cable` structs, shape (n,)."""
-    records = np.zeros(robot.n, dtype=Cable.numpy_dtype())
+    records = np.zeros(robot.n, dtype=record_type(Cable))
     for name in (
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
         "weight_per_length", "axial_stiffness", "axial_damping", "exit_friction", "anchor_friction",
@@ -39,7 +47,7 @@ def cable_records(robot: Robot) -> NDArray[Any]:
 
 def body_record(robot: Robot) -> NDArray[Any]:
     """Return the platform of a robot as one `StaticBody` struct, shape ()."""
-    record = np.zeros((), dtype=StaticBody.numpy_dtype())
+    record = np.zeros((), dtype=record_type(StaticBody))
     record["weight"] = robot.weight
     record["center_of_mass"] = robot.center_of_mass
     record["arm"] = lever(robot)
@@ -99,11 +107,6 @@ class Buffers:
         self._arrays[name] = array
         if wp.get_device(self.device).is_cpu:
             self._views[name] = array.numpy()
-
-    @property
-    def launched(self) -> bool:
-        """True if any kernel has run on these buffers."""
-        return bool(self._launches)
 
     def put(self, name: str, value: Array) -> None:
         """Copy numbers in."""
@@ -180,6 +183,16 @@ def check_device(device: str) -> None:
         if device not in [*known, "cuda"] or (device == "cuda" and len(known) < 2):
             none = "" if len(known) > 1 else "; no CUDA device was found"
             raise InvalidField("device", repr(device), f"one of {known}{none}")
+
+
+def check_rows(robot: Robot | Fleet, name: str, size: int) -> None:
+    """Refuse a batch of another size than the fleet.
+
+    Raises:
+        InvalidField: Names the argument whose rows they are.
+    """
+    if isinstance(robot, Fleet) and len(robot) not in (1, size):
+        raise InvalidField(name, f"{size} rows", f"{len(robot)}, one for each robot of the fleet")
 
 
 def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]:

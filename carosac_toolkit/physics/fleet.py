@@ -16,8 +16,8 @@ from carosac_toolkit.robot.robot import Robot
 class Fleet:
     """Robots with the same number of cables and the same gravity, whose numbers may differ.
 
-    Stands for one robot in `statics` where each row of the batch has its own. Its attributes are
-    those of `Robot`, stacked along a first axis.
+    Stands for one robot in the physics at rest where each row of the batch has its own. Its
+    attributes are those of `Robot`, stacked along a first axis.
 
     Attributes:
         robots: The robots.
@@ -25,6 +25,12 @@ class Fleet:
         gravity: [m/s^2].
         mass: [kg], shape (B,).
         weight: [N], shape (B,).
+        center_of_mass: In P [m], shape (B, 3).
+        inertia: About the centre of mass, axes of P [kg m^2], shape (B, 3, 3).
+        anchor_points: In P [m], shape (B, n, 3).
+        run_length: [m], shape (B, n).
+        linear_density: [kg/m], shape (B, n).
+        axial_stiffness: [N], shape (B, n).
         tension_min: [N], shape (B, n).
         length_min: [m], shape (B, n).
         length_max: [m], shape (B, n).
@@ -53,6 +59,12 @@ class Fleet:
         self.gravity = first.gravity
         self.mass = self._stacked("mass")
         self.weight = self.mass * self.gravity
+        self.center_of_mass = self._stacked("center_of_mass")
+        self.inertia = self._stacked("inertia")
+        self.anchor_points = self._stacked("anchor_points")
+        self.run_length = self._stacked("run_length")
+        self.linear_density = self._stacked("linear_density")
+        self.axial_stiffness = self._stacked("axial_stiffness")
         self.tension_min = self._stacked("tension_min")
         self.length_min = self._stacked("length_min")
         self.length_max = self._stacked("length_max")
@@ -64,7 +76,9 @@ class Fleet:
 
     def rows(self, which: NDArray[Any]) -> Fleet:
         """Return the robots of some rows; a fleet of one serves them all."""
-        return self if len(self) == 1 else Fleet([self.robots[int(i)] for i in which])
+        if len(self) == 1 or np.array_equal(which, np.arange(len(self))):
+            return self
+        return Fleet([self.robots[int(i)] for i in which])
 
     def _stacked(self, name: str) -> Array:
         """Stack one field of all robots."""

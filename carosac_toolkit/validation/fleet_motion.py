@@ -64,7 +64,7 @@ def fleet_motion(
     rest = forward_kinematics(fleet, length[0])
     if not (rest.converged & rest.stable).all():
         raise CarosacError("the robot cannot rest on the first lengths")
-    start, twists = _starts(robots, rest, time, length, move, twist)
+    start, twists = _starts(fleet, rest, time, length, move, twist)
     plants = upload_plants(fleet, _DEVICE, WinchSettings(), 0.0, 1.0)
     size = len(robots)
     worlds = allocate_worlds(size, fleet.n, _DEVICE, np.zeros(size, dtype=np.int32))
@@ -90,7 +90,7 @@ def fleet_motion(
 
 
 def _starts(
-    robots: Sequence[Robot],
+    fleet: Fleet,
     rest: Equilibrium,
     time: Array,
     length: Array,
@@ -98,20 +98,16 @@ def _starts(
     twist: Array,
 ) -> tuple[Placement, Array]:
     """Return where robots start, and their twists (B, 6)."""
-    starts = []
     away = moved_poses(rest.position, rest.rotation, move)
-    for b, robot in enumerate(robots):
-        one = slice(b, b + 1)
-        held = straight_length(robot, rest.position[one], rest.rotation[one]).length
-        pose = poses_on_lengths(robot, away[0][one], away[1][one], held)
-        rate = (length[1, one] - length[0, one]) / (time[1] - time[0])
-        starts.append((*pose, twists_on_rates(robot, *pose, length[0, one], rate, twist[one])))
-    position, rotation, twists = (np.concatenate(part) for part in zip(*starts, strict=True))
-    cables = hanging_cables(Fleet(robots), position, rotation, length[0], device=_DEVICE)
+    held = straight_length(fleet, rest.position, rest.rotation).length
+    position, rotation = poses_on_lengths(fleet, *away, held)
+    rate = (length[1] - length[0]) / (time[1] - time[0])
+    twists = twists_on_rates(fleet, position, rotation, length[0], rate, twist)
+    cables = hanging_cables(fleet, position, rotation, length[0], device=_DEVICE)
     if not cables.valid.all():
         raise CarosacError("a cable cannot hang where the motion starts")
     start = Placement(
         position=position, rotation=rotation, unstrained_length=length[0],
         tension=cables.tension, exit_tension=cables.exit_tension, at_rest=False,
     )  # fmt: skip
-    return start, np.array(twists)
+    return start, twists

@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_rotation_vector
+from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.held_lengths import (
+    poses_on_lengths,
+    pull_of_held_cables,
+    twists_on_rates,
+)
+from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.robot.condition_file import find_condition
 from carosac_toolkit.robot.perturbations import draw_plant
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
@@ -54,6 +63,49 @@ def test_statics_of_a_fleet_is_that_of_its_robots_bit_for_bit(robot):
     assert len(np.unique(length[:, 0])) == 5
 
 
+@KINDS
+def test_straight_cables_of_a_fleet_are_those_of_its_robots_bit_for_bit(robot):
+    robots = plants(robot)
+    rng = np.random.default_rng(2)
+    position = robot.home_position + rng.uniform(-0.1, 0.1, (5, 3))
+    rotation = from_rotation_vector(rng.uniform(-0.2, 0.2, (5, 3))) @ robot.home_rotation
+    found = straight_length(Fleet(robots), position, rotation)
+    structures = structure_matrix(Fleet(robots), position, rotation)
+    masses = mass_matrix(Fleet(robots), rotation, found.length)
+    for k, one in enumerate(robots):
+        own = slice(k, k + 1)
+        alone = straight_length(one, position[own], rotation[own])
+        for name in ("length", "wrap", "direction", "valid"):
+            assert np.array_equal(getattr(found, name)[own], getattr(alone, name)), name
+        assert np.array_equal(structures[own], structure_matrix(one, position[own], rotation[own]))
+        assert np.array_equal(masses[own], mass_matrix(one, rotation[own], found.length[own]))
+    assert len(np.unique(found.length[:, 0])) == 5
+
+
+@pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(simple_robot())])
+def test_swinging_platforms_of_a_fleet_are_those_of_its_robots_bit_for_bit(robot):
+    """Also where some need more Newton steps than others to find their lengths."""
+    robots = plants(robot)
+    rng = np.random.default_rng(3)
+    reach = np.geomspace(1e-6, 1.0, 5)[:, None]
+    position = robot.home_position + reach * rng.uniform(-1.0, 1.0, (5, 3))
+    rotation = np.repeat(robot.home_rotation[None], 5, axis=0)
+    home = np.repeat(robot.home_position[None], 5, axis=0)
+    rate, twist = rng.uniform(-0.1, 0.1, (5, robot.n)), rng.uniform(-0.3, 0.3, (5, 6))
+
+    def swing(robot, own):
+        length = straight_length(robot, home[own], rotation[own]).length
+        pose = poses_on_lengths(robot, position[own], rotation[own], length)
+        moved = twists_on_rates(robot, *pose, length, rate[own], twist[own])
+        return *pose, moved, *pull_of_held_cables(robot, *pose, moved)
+
+    together = swing(Fleet(robots), slice(None))
+    for k, one in enumerate(robots):
+        alone = swing(one, slice(k, k + 1))
+        for row, right in zip(together, alone, strict=True):
+            assert np.array_equal(row[k : k + 1], right)
+
+
 def test_one_robot_serves_a_whole_batch():
     robot = simple_robot()
     where = robot.home_position + np.array([[0.0, 0.0, 0.0], [0.2, 0.1, 0.3], [-0.3, 0.2, 0.1]])
@@ -75,7 +127,9 @@ def test_slackness_and_winch_range_are_judged_by_each_robot():
 
 def test_rows_are_the_robots_asked_for_and_one_serves_all():
     robots = plants(simple_robot(), 4)
-    assert Fleet(robots).rows(np.array([2, 0])).robots == (robots[2], robots[0])
+    fleet = Fleet(robots)
+    assert fleet.rows(np.array([2, 0])).robots == (robots[2], robots[0])
+    assert fleet.rows(np.arange(4)) is fleet
     lone = Fleet(robots[:1])
     assert lone.rows(np.array([3, 1])) is lone
     assert (len(Fleet(robots)), len(lone)) == (4, 1)
@@ -85,7 +139,11 @@ def test_attributes_are_those_of_the_robots_in_their_order():
     robots = plants(eight_cable_robot(), 3)
     fleet = Fleet(robots)
     assert fleet.n == 8
-    for name in ("mass", "weight", "tension_min", "length_min", "length_max", "home_position"):
+    for name in (
+        "mass", "weight", "center_of_mass", "inertia", "anchor_points", "run_length",
+        "linear_density", "axial_stiffness", "tension_min", "length_min", "length_max",
+        "home_position",
+    ):  # fmt: skip
         assert np.array_equal(getattr(fleet, name), [getattr(r, name) for r in robots]), name
 
 
@@ -113,6 +171,8 @@ def test_a_batch_of_another_size_than_the_fleet_is_refused():
     fleet = Fleet([simple_robot()] * 2)
     with pytest.raises(InvalidField, match="position: got 3 rows; allowed: 2, one for each robot"):
         statics.inverse_kinematics(fleet, np.zeros((3, 3)))
+    with pytest.raises(InvalidField, match="position: got 3 rows; allowed: 2, one for each robot"):
+        straight_length(fleet, np.zeros((3, 3)))
     with pytest.raises(InvalidField, match="unstrained_length: got 3 rows; allowed: 2, one for"):
         statics.forward_kinematics(fleet, np.full((3, 4), 9.0))
     equilibrium = statics.inverse_kinematics(fleet, np.tile(simple_robot().home_position, (2, 1)))

@@ -26,7 +26,13 @@ from carosac_toolkit.base.arrays import Array, batch, rotations
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import straight_line_kernels
-from carosac_toolkit.physics.device import check_device, kept_buffers
+from carosac_toolkit.physics.device import (
+    check_device,
+    check_rows,
+    device_robot,
+    kept_buffers,
+)
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot.robot import Robot
 
 GRADIENT_TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
@@ -73,7 +79,7 @@ class StraightLineFit:
 
 
 def straight_length(
-    robot: Robot,
+    robot: Robot | Fleet,
     position: ArrayLike,
     rotation: ArrayLike | None = None,
     *,
@@ -82,7 +88,7 @@ def straight_length(
     """Return straight cables at known poses, with the gradient of their lengths.
 
     Args:
-        robot: Robot description, n cables.
+        robot: Robot description, n cables; a `Fleet` has a robot for each row.
         position: Platform origin in W [m], shape (B, 3).
         rotation: From P to W, shape (B, 3, 3); None is the home rotation.
         device: Warp device.
@@ -90,7 +96,9 @@ def straight_length(
     Returns:
         Lengths, wraps, gradients and whether each cable exists.
     """
+    check_device(device)
     points = batch("position", position, (3,))
+    check_rows(robot, "position", len(points))
     turns = _rotations(robot, rotation, len(points))
     outputs = ("length", "wrap", "direction", "valid")
     solution = _launch(
@@ -100,7 +108,7 @@ def straight_length(
         straight_line_kernels.straight_lengths,
         (len(points), robot.n),
         {"position": points, "rotation": turns},
-        ("position", "rotation", *_GEOMETRY_FIELDS, *outputs),
+        (device_robot(robot, device)[0], "position", "rotation", *outputs),
         outputs,
     )
     return StraightCables(
@@ -171,6 +179,7 @@ def forward_kinematics(
         Best-fitting positions, with residuals and `converged`; where that is False the position is
         the last iterate.
     """
+    check_device(device)
     targets = batch("length", length, (robot.n,))
     turns = _rotations(robot, rotation, len(targets))
     start = robot.home_position if guess is None else batch("guess", guess, (3,))
@@ -183,7 +192,12 @@ def forward_kinematics(
         len(targets),
         straight_line_kernels.fit_position,
         len(targets),
-        {"target": targets, "rotation": turns, "position": start},
+        {
+            "target": targets,
+            "rotation": turns,
+            "position": start,
+            **{name: getattr(robot, name) for name in _GEOMETRY_FIELDS},
+        },
         (
             "target",
             "rotation",
@@ -204,17 +218,13 @@ def forward_kinematics(
 
 
 def _launch(
-    robot: Robot, device: str, size: int, kernel: Any, dim: int | tuple[int, int],
+    robot: Robot | Fleet, device: str, size: int, kernel: Any, dim: int | tuple[int, int],
     inputs: dict[str, Array], arguments: tuple[Any, ...], outputs: tuple[str, ...],
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Copy in, run a kernel, copy out."""
-    check_device(device)
     warp_setup.load(straight_line_kernels, device)
     buffers = kept_buffers(robot, "straight_line", size, device, lambda: _shapes(size, robot.n))
     with buffers.lock:
-        if not buffers.launched:
-            for name in _GEOMETRY_FIELDS:
-                buffers.put(name, getattr(robot, name))
         for name, value in inputs.items():
             buffers.put(name, value)
         buffers.launch(kernel.key, kernel, dim, *arguments)
@@ -237,6 +247,6 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
 _GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
 
 
-def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
+def _rotations(robot: Robot | Fleet, rotation: ArrayLike | None, size: int) -> Array:
     """Return the home rotation, or an argument of one rotation matrix per pose."""
     return robot.home_rotation if rotation is None else rotations("rotation", rotation, size)

@@ -97,12 +97,9 @@ def straight_cable(relative: vec3, radius: f64, axis: vec3):
 
 @wp.kernel
 def straight_lengths(
+    cables: wp.array2d(dtype=Cable),
     position: wp.array(dtype=vec3),
     rotation: wp.array(dtype=mat33),
-    exit_point: wp.array(dtype=vec3),
-    anchor: wp.array(dtype=vec3),
-    radius: wp.array(dtype=f64),
-    axis: wp.array(dtype=vec3),
     length: wp.array2d(dtype=f64),
     wrap: wp.array2d(dtype=f64),
     direction: wp.array2d(dtype=vec3),
@@ -110,8 +107,11 @@ def straight_lengths(
 ):
     """Compute lengths, wraps and gradients at known poses; one thread per pose and cable."""
     b, i = wp.tid()
-    relative = position[b] + rotation[b] * anchor[i] - exit_point[i]
-    span, angle, unit, _bend, inside = straight_cable(relative, radius[i], axis[i])
+    cable = cables[wp.min(b, cables.shape[0] - 1), i]
+    relative = position[b] + rotation[b] * cable.anchor_point - cable.exit_point
+    span, angle, unit, _bend, inside = straight_cable(
+        relative, cable.pulley_radius, cable.swivel_axis
+    )
     length[b, i] = span
     wrap[b, i] = angle
     direction[b, i] = unit

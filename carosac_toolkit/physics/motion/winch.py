@@ -14,7 +14,7 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.device import Buffers, stacked
+from carosac_toolkit.physics.device import Buffers, record_type, stacked
 from carosac_toolkit.physics.motion import winch_kernels
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.physics.scales import Scales
@@ -96,7 +96,7 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
     if integral_time is not None and integral_time < shortest * (1.0 - 1e-9):
         allowed = f"integral_time >= {shortest:g} s for robot {robot.name!r}, finite"
         raise InvalidField("integral_time", f"{integral_time} s", allowed)
-    records = np.zeros(robot.n, dtype=Winch.numpy_dtype())
+    records = np.zeros(robot.n, dtype=record_type(Winch))
     records["lag"] = robot.winch_lag
     records["step_max"] = steps
     records["speed_max"] = robot.speed_max
@@ -149,7 +149,7 @@ class WinchBatch:
             "duration": ((1,), wp.float64),
         }
         self._buffers = Buffers("cpu", shapes)
-        states = np.zeros(start.shape, dtype=WinchState.numpy_dtype())
+        states = np.zeros(start.shape, dtype=record_type(WinchState))
         states["length"] = states["wound"] = start
         self._buffers.put("states", states)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.scaled import Scaled
 from carosac_toolkit.physics.cable.catenary_kernels import vec6d
-from carosac_toolkit.physics.device import body_record, cable_records, stacked
+from carosac_toolkit.physics.device import body_record, cable_records, record_type, stacked
 from carosac_toolkit.physics.device_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
@@ -33,7 +33,7 @@ STATE_FIELDS = (
 
 def rigid_body_record(robot: Robot) -> NDArray[Any]:
     """Return the platform of a robot as one `DynamicBody` struct, shape ()."""
-    record = np.zeros((), dtype=DynamicBody.numpy_dtype())
+    record = np.zeros((), dtype=record_type(DynamicBody))
     shared = body_record(robot)
     for name in ("center_of_mass", "arm", "size"):
         record[name] = shared[name]
@@ -63,7 +63,7 @@ def upload_plants(
         wind_time: Its correlation time [s].
     """
     robots = fleet.robots
-    winds = np.zeros(len(robots), dtype=Wind.numpy_dtype())
+    winds = np.zeros(len(robots), dtype=record_type(Wind))
     winds["deviation"], winds["time"] = wind_force, wind_time
     winds["interval"] = stacked(lambda robot: np.array(gust_interval(robot)), robots)
     out = world_kernels.Plants()

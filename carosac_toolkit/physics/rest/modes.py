@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 
@@ -27,14 +28,16 @@ class Modes:
     shape: Array
 
 
-def mass_matrix(robot: Robot, rotation: Array, unstrained_length: Array | None = None) -> Array:
+def mass_matrix(
+    robot: Robot | Fleet, rotation: Array, unstrained_length: Array | None = None
+) -> Array:
     r"""Return the inertia of the platform about its origin.
 
     .. math:: M = \begin{bmatrix} m 1 & -m [c]_\times \\ m [c]_\times & I_c - m [c]_\times^2
         \end{bmatrix}, \qquad c = R\, c_P
 
     Args:
-        robot: Robot description.
+        robot: Robot description; a `Fleet` has a robot for each row.
         rotation: Rotation from P to W, shape (B, 3, 3).
         unstrained_length: [m], shape (B, n): a third of each cable's mass then rides at its
             anchor point, as of a straight cable that swings about its exit; None: no cables.
@@ -43,19 +46,20 @@ def mass_matrix(robot: Robot, rotation: Array, unstrained_length: Array | None =
         M in W at the platform origin, shape (B, 6, 6): kinetic energy is v^T M v / 2 for a twist
         v, linear first.
     """
-    center = rotation @ robot.center_of_mass
+    center = (rotation @ robot.center_of_mass[..., None])[..., 0]
+    heavy = np.reshape(robot.mass, (-1, 1, 1))
     cross = np.zeros((len(center), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -center[:, 2], center[:, 1], -center[:, 0]
     cross -= cross.swapaxes(1, 2)
     mass = np.zeros((len(center), 6, 6))
-    mass[:, :3, :3] = robot.mass * np.eye(3)
-    mass[:, 3:, :3] = robot.mass * cross
-    mass[:, :3, 3:] = -robot.mass * cross
+    mass[:, :3, :3] = heavy * np.eye(3)
+    mass[:, 3:, :3] = heavy * cross
+    mass[:, :3, 3:] = -heavy * cross
     inertia = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
-    mass[:, 3:, 3:] = inertia - robot.mass * cross @ cross
+    mass[:, 3:, 3:] = inertia - heavy * cross @ cross
     if unstrained_length is not None:
         riding = robot.linear_density * unstrained_length / 3.0  # (B, n) [kg]
-        arm = np.einsum("bij,nj->bni", rotation, robot.anchor_points)
+        arm = robot.anchor_points @ rotation.swapaxes(1, 2)
         reach = np.zeros((*arm.shape[:2], 3, 6))  # velocity of the anchor point per twist
         reach[..., :3] = np.eye(3)
         reach[..., 0, 4], reach[..., 0, 5] = arm[..., 2], -arm[..., 1]

@@ -20,7 +20,13 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.cable.catenary_kernels import mat66d, vec6d
 from carosac_toolkit.physics.cable.shapes import offset_from_chord
-from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
+from carosac_toolkit.physics.device import (
+    Buffers,
+    check_call,
+    check_rows,
+    device_robot,
+    kept_buffers,
+)
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import forward_kernels, inverse_free_kernels, inverse_kernels
 from carosac_toolkit.physics.rest.platform_kernels import Poses
@@ -108,7 +114,7 @@ def forward_kinematics(
         b, i = (int(k) for k in np.argwhere(length <= 0.0)[0])
         raise InvalidField(f"unstrained_length[{b}, {i}]", f"{length[b, i]} m", "> 0 m")
     size = len(length)
-    _check_rows(robot, "unstrained_length", size)
+    check_rows(robot, "unstrained_length", size)
     _check_guess(guess, size, robot)
     warp_setup.load(forward_kernels, device)
     cables, bodies = device_robot(robot, device)
@@ -161,7 +167,7 @@ def inverse_kinematics(
     check_distribution(distribution, robot.n)
     where = batch("position", position, (3,))
     size = len(where)
-    _check_rows(robot, "position", size)
+    check_rows(robot, "position", size)
     free = robot.n < 6
     if free and rotation is not None:
         raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
@@ -226,12 +232,6 @@ def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
     points = cable_shape(robot, equilibrium, samples)
     distance: Array = np.linalg.norm(offset_from_chord(points), axis=-1).max(axis=-1)
     return distance
-
-
-def _check_rows(robot: Robot | Fleet, name: str, size: int) -> None:
-    """Refuse a batch of another size than the fleet."""
-    if isinstance(robot, Fleet) and len(robot) not in (1, size):
-        raise InvalidField(name, f"{size} rows", f"{len(robot)}, one for each robot of the fleet")
 
 
 def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot | Fleet) -> None:

@@ -7,10 +7,13 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot.robot import Robot
 
 
-def structure_matrix(robot: Robot, position: ArrayLike, rotation: ArrayLike | None = None) -> Array:
+def structure_matrix(
+    robot: Robot | Fleet, position: ArrayLike, rotation: ArrayLike | None = None
+) -> Array:
     r"""Map cable tensions to the wrench they apply to the platform.
 
     With unit vector u_i from anchor point to tangent point, both expressed in W,
@@ -20,7 +23,7 @@ def structure_matrix(robot: Robot, position: ArrayLike, rotation: ArrayLike | No
     hence :math:`\dot\ell = -A^\top \xi` for the twist :math:`\xi = [v; \omega]` in W.
 
     Args:
-        robot: Robot description, n cables.
+        robot: Robot description, n cables; a `Fleet` has a robot for each row.
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation R from P to W, shape (B, 3, 3); None is the home rotation.
 

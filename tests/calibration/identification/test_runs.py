@@ -56,6 +56,7 @@ from calibration.identification.vibrations import HiddenVibrations
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.scaled import resolved
 from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.scales import Scales
@@ -785,8 +786,8 @@ def test_a_platform_that_starts_before_its_first_pose_hardly_vibrates(plant, run
             rest = first_equilibrium(plant, run.path)
             sway, lengths = replace(run.sway, begin=begin), rest.unstrained_length
             position, rotation, twist = swaying_states(
-                [sway], [plant], Pose(position=rest.position, rotation=rest.rotation), lengths,
-                np.zeros_like(lengths), [sway.guess],
+                [sway], Fleet([plant]), Pose(position=rest.position, rotation=rest.rotation),
+                lengths, np.zeros_like(lengths), [sway.guess],
             )  # fmt: skip
             simulator = Simulator(plant, worlds=1, cables="catenary", time_step=1e-3)
             simulator.reset(position, rotation, unstrained_length=lengths, twist=twist)

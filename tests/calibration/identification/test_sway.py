@@ -15,6 +15,7 @@ from calibration.identification.sway import find_sway, swaying_states
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.rest.structure import structure_matrix
@@ -33,7 +34,7 @@ def start(sway, robot, rest, rate, coordinates):
     """Return position, rotation and twist of one robot that starts."""
     pose = Pose(position=rest.position, rotation=rest.rotation)
     states = swaying_states(
-        [sway], [robot], pose, rest.unstrained_length, rate[None], coordinates[None]
+        [sway], Fleet([robot]), pose, rest.unstrained_length, rate[None], coordinates[None]
     )
     return [state[0] for state in states]
 
