@@ -50,7 +50,7 @@ from carosac_toolkit.physics.motion.capstan_kernels import (
     grips,
     stretched,
 )
-from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs, turn_since
 from carosac_toolkit.physics.motion.world_kernels import (
     NEWTON_STEP_MIN,
     NEWTON_STEPS_MAX,
@@ -427,6 +427,7 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
     total = System()
     if lane.index == 0:
         total = system
+    turned = turn_since(start, trial)
     for i in range(lane.index, worlds.winch.shape[1], lane.count):
         cable = plants.cables[row, i]
         winch = worlds.winch[b, i]
@@ -444,15 +445,21 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             body.gravity, body.cable_drag,
             trial.center + arm, velocity, inertial_rate,
         )  # fmt: skip
-        total = attach(total, arm, load.force, load.stiffness)
+        force = load.force
+        k = load.stiffness
         if rubs(cable):
+            before = start.center + start.rotation * (cable.anchor_point - body.center_of_mass)
             rubbing = rub(
-                total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
+                cable, worlds.bristles[b, i], before, trial.center + arm, turned, body.size
             )
-            total = rubbing.system
+            force = force + rubbing.force
+            k = k + rubbing.stiffness
+            total.moment = total.moment + rubbing.moment
+            total.rr = total.rr + rubbing.turning
             bristles = rubbing.bristles
             bristles.run = load.run
             chains.bristles[s, i] = bristles
+        total = attach(total, arm, force, k)
     if lane.count > 1:
         total.force = vector_sum(total.force, lane.count)
         total.moment = vector_sum(total.moment, lane.count)

@@ -61,10 +61,10 @@ def grips(cable: Cable) -> bool:
 
 
 @wp.func
-def bend_gain(a: wp.float64) -> wp.float64:
-    """Return (1 - exp(-a)) / a for a >= 0."""
+def bend_gain(a: wp.float64, kept: wp.float64) -> wp.float64:
+    """Return (1 - kept) / a for a >= 0, of which kept = exp(-a)."""
     if a > SMALL_SLIP:
-        return (ONE - wp.exp(-a)) / a
+        return (ONE - kept) / a
     return ONE - wp.float64(0.5) * a
 
 
@@ -108,8 +108,9 @@ def stretched(cable: Cable, run: Run, length: wp.float64, exponent: wp.float64, 
         if run.known == 1:
             slip = paid + e
             a = wp.abs(slip) / slide
-            out.run.bend = wp.exp(-a) * run.bend + bend_gain(a) * slip / slide
-            growth = wp.exp(-a) * (ONE - wp.sign(slip) * run.bend) / slide
+            kept = wp.exp(-a)
+            out.run.bend = kept * run.bend + bend_gain(a, kept) * slip / slide
+            growth = kept * (ONE - wp.sign(slip) * run.bend) / slide
         ratio = wp.exp(exponent * out.run.bend)
         out.slope = alone + pulled * ratio * (ONE + e * exponent * growth)
         out.run.stretch = e

@@ -36,7 +36,7 @@ from carosac_toolkit.physics.motion.body_kernels import (
     world_inertia,
 )
 from carosac_toolkit.physics.motion.capstan_kernels import grips
-from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs
+from carosac_toolkit.physics.motion.friction_kernels import Bristles, rub, rubs, turn_since
 from carosac_toolkit.physics.motion.pull_kernels import Pull, sagging_pull, straight_pull
 from carosac_toolkit.physics.motion.winch_kernels import resting
 from carosac_toolkit.physics.motion.world_kernels import (
@@ -99,6 +99,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
     """Add pull, inertia and friction of each cable; correct q to first order."""
     out = MotionLoad()
     total = system
+    turned = turn_since(start, trial)
     for i in range(worlds.winch.shape[1]):
         cable = plants.cables[row, i]
         winch = worlds.winch[b, i]
@@ -137,15 +138,17 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
             force = force - mass * (felt + body.cable_drag * velocity)
             inertia = mass * (scheme.stiff + body.cable_drag / scheme.reach)
             k = k + inertia * wp.identity(n=3, dtype=wp.float64)
-        total = attach(total, arm, force, k)
         if rubs(cable):
-            rubbing = rub(
-                total, cable, worlds.bristles[b, i], body.center_of_mass, start, trial, body.size
-            )
-            total = rubbing.system
+            before = start.center + start.rotation * (cable.anchor_point - body.center_of_mass)
+            rubbing = rub(cable, worlds.bristles[b, i], before, anchor, turned, body.size)
+            force = force + rubbing.force
+            k = k + rubbing.stiffness
+            total.moment = total.moment + rubbing.moment
+            total.rr = total.rr + rubbing.turning
             bristles = rubbing.bristles
             bristles.run = pull.run
             hung.bristles[b, i] = bristles
+        total = attach(total, arm, force, k)
     out.system = total
     return out
 

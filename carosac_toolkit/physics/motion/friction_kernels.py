@@ -24,7 +24,7 @@ import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import ONE, ZERO
 from carosac_toolkit.physics.device_kernels import Cable
-from carosac_toolkit.physics.motion.body_kernels import BodyMotion, System, attach
+from carosac_toolkit.physics.motion.body_kernels import BodyMotion
 from carosac_toolkit.physics.motion.capstan_kernels import SMALL_SLIP, Run, bend_gain, grips
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -46,7 +46,10 @@ class Bristles:
 class Rubbing:
     """What friction at both ends of a cable does to the platform."""
 
-    system: System
+    force: wp.vec3d  # at the anchor point [N]
+    stiffness: wp.mat33d  # -d force / d anchor point [N/m]
+    moment: wp.vec3d  # beside that of the force [N m]
+    turning: wp.mat33d  # -d moment / d rotation vector [N m]
     bristles: Bristles
 
 
@@ -56,24 +59,28 @@ def rubs(cable: Cable) -> bool:
     return cable.exit_friction + cable.anchor_friction > ZERO or grips(cable)
 
 
-@wp.func
-def bent(z: wp.vec3d, slip: wp.vec3d) -> wp.vec3d:
-    """Return the bend of bristles after a slip."""
-    a = wp.length(slip) / PRESLIDING_ANGLE
-    return wp.exp(-a) * z + bend_gain(a) * slip
+@wp.struct
+class Bent:
+    """Bristles after a slip."""
+
+    bend: wp.vec3d
+    slope: wp.mat33d  # by the slip, without its asymmetric part; not negative
 
 
 @wp.func
-def bend_per_slip(z: wp.vec3d, slip: wp.vec3d) -> wp.mat33d:
-    """Return the derivative of `bent` by the slip, without its asymmetric part; not negative."""
+def bent(z: wp.vec3d, slip: wp.vec3d, across: wp.mat33d) -> Bent:
+    """Return the bend of bristles after a slip; both lie where the projection `across` leads."""
     size = wp.length(slip)
     a = size / PRESLIDING_ANGLE
-    out = wp.identity(n=3, dtype=wp.float64)
+    kept = wp.exp(-a)
+    gain = bend_gain(a, kept)
+    out = Bent()
+    out.bend = kept * z + gain * slip
+    out.slope = gain * across
     if a > SMALL_SLIP:
-        gain = bend_gain(a)
         way = slip / size
-        along = wp.exp(-a) * wp.max(ONE - wp.dot(z, way) / PRESLIDING_ANGLE, ZERO)
-        out = gain * out + (along - gain) * wp.outer(way, way)
+        along = kept * wp.max(ONE - wp.dot(z, way) / PRESLIDING_ANGLE, ZERO)
+        out.slope = out.slope + (along - gain) * wp.outer(way, way)
     return out
 
 
@@ -140,47 +147,46 @@ def slid_bristles(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, omega: wp.
 
 
 @wp.func
-def rub(system: System, cable: Cable, bristles: Bristles, center_of_mass: wp.vec3d,
-        start: BodyMotion, trial: BodyMotion, size: wp.float64) -> Rubbing:  # fmt: skip
-    """Add the dry friction of a cable at the end of a time step.
+def turn_since(start: BodyMotion, trial: BodyMotion) -> wp.vec3d:
+    """Return by how much a platform turned in a time step [rad], to second order."""
+    d = trial.rotation * wp.transpose(start.rotation)
+    return wp.float64(0.5) * wp.vec3d(d[2, 1] - d[1, 2], d[0, 2] - d[2, 0], d[1, 0] - d[0, 1])
+
+
+@wp.func
+def rub(cable: Cable, bristles: Bristles, before: wp.vec3d, anchor: wp.vec3d, turn: wp.vec3d,
+        size: wp.float64) -> Rubbing:  # fmt: skip
+    """Return the dry friction of a cable at the end of a time step.
 
     Args:
-        system: Force, moment and matrix of the platform.
         cable: The cable; see `rubs`.
         bristles: At the start of the step.
-        center_of_mass: Of the platform in P [m].
-        start: Motion at the start of the step.
-        trial: At its end.
+        before: Anchor point at the start of the step, in W [m].
+        anchor: At its end.
+        turn: Of the platform, as of `turn_since`.
         size: Typical length [m].
     """
     out = Rubbing()
     out.bristles = bristles
-    before = start.rotation * (cable.anchor_point - center_of_mass)
-    arm = trial.rotation * (cable.anchor_point - center_of_mass)
-    anchor = trial.center + arm
-    way = anchor - (start.center + before)
+    way = anchor - before
     lines = lines_of(cable, anchor, size)
-    total = system
     if cable.exit_friction > ZERO:
         stiffness = cable.exit_friction / PRESLIDING_ANGLE * lines.exit_per_length
         z = lines.exit_across * bristles.exit
         slip = lines.exit_per_length * (lines.exit_across * way)
-        out.bristles.exit = bent(z, slip)
-        k = lines.exit_across * bend_per_slip(z, slip) * lines.exit_across
-        total = attach(
-            total, arm, -stiffness * out.bristles.exit, stiffness * lines.exit_per_length * k
-        )
+        found = bent(z, slip, lines.exit_across)
+        out.bristles.exit = found.bend
+        out.force = -stiffness * found.bend
+        out.stiffness = (stiffness * lines.exit_per_length) * found.slope
     if cable.anchor_friction > ZERO:
         stiffness = cable.anchor_friction / PRESLIDING_ANGLE
-        d = trial.rotation * wp.transpose(start.rotation)
-        turn = wp.float64(0.5) * wp.vec3d(d[2, 1] - d[1, 2], d[0, 2] - d[2, 0], d[1, 0] - d[0, 1])
         z = lines.across * bristles.anchor
         slip = lines.across * turn - lines.per_length * wp.cross(lines.cable, way)
-        out.bristles.anchor = bent(z, slip)
-        k = lines.across * bend_per_slip(z, slip) * lines.across
-        pull = stiffness * lines.per_length * wp.cross(out.bristles.anchor, lines.cable)
-        total = attach(total, arm, pull, stiffness * lines.per_length * lines.per_length * k)
-        total.moment = total.moment - stiffness * out.bristles.anchor
-        total.rr = total.rr + stiffness * k
-    out.system = total
+        found = bent(z, slip, lines.across)
+        out.bristles.anchor = found.bend
+        pull = stiffness * lines.per_length
+        out.force = out.force + pull * wp.cross(found.bend, lines.cable)
+        out.stiffness = out.stiffness + (pull * lines.per_length) * found.slope
+        out.moment = -stiffness * found.bend
+        out.turning = stiffness * found.slope
     return out
