@@ -238,17 +238,24 @@ def _simulate_alike(
     robots = [robot for run in runs for robot in run.robots]
     lengths = np.concatenate([drive.held(len(when)) for drive in drives], axis=1)
     edges = np.cumsum([0] + [len(run.robots) for run in runs])
-    starts = _Starts.of(runs, robots, lengths[: min(2, len(when))], when)
+    runs_of = np.repeat(np.arange(len(runs)), np.diff(edges))
     looked = np.unique(np.concatenate([drive.rows for drive in drives]))
-    chunks = [
-        _Worlds(
-            [robots[b] for b in rows], np.ascontiguousarray(lengths[:, rows]), starts.rows(rows),
-            time_step, refined,
-        )
-        for rows in np.array_split(np.arange(len(robots)), _threads(len(robots)))
-    ]  # fmt: skip
+
+    def wind(rows: NDArray[np.int64]) -> OpenLoop:
+        """Simulate the worlds of some rows, in a thread of their own."""
+        own, fleet = np.ascontiguousarray(lengths[:, rows]), Fleet([robots[b] for b in rows])
+        given = [
+            None if start is None else (start.sway, start.coordinates[b - edges[r]])
+            for b, r in zip(rows, runs_of[rows], strict=True)
+            for start in [runs[r].start]
+        ]
+        starts = _Starts.of(fleet, given, own[: min(2, len(when))], when)
+        starts.check(np.isin(rows, edges[:-1]))
+        return _Worlds(fleet.robots, own, starts, time_step, refined).wind(when, looked)
+
+    chunks = np.array_split(np.arange(len(robots)), _threads(len(robots)))
     with ThreadPoolExecutor(len(chunks)) as pool:
-        parts = list(pool.map(lambda chunk: chunk.wind(when, looked), chunks))
+        parts = list(pool.map(wind, chunks))
     position = np.concatenate([part.position for part in parts], axis=1)
     rotation = np.concatenate([part.rotation for part in parts], axis=1)
     failed = np.concatenate([part.failed for part in parts])
@@ -277,6 +284,7 @@ class _Starts:
         position: [m], shape (B, 3).
         rotation: From P to W, shape (B, 3, 3).
         twist: Shape (B, 6).
+        status: Of the search for rest, an index into `statics.STATUS_REASONS`, shape (B,).
     """
 
     hangs: NDArray[np.bool_]
@@ -284,58 +292,57 @@ class _Starts:
     position: Array
     rotation: Array
     twist: Array
+    status: NDArray[np.int32]
 
     @classmethod
     def of(
-        cls, runs: Sequence[OpenLoopRun], robots: Sequence[Robot], lengths: Array, when: Array
+        cls,
+        fleet: Fleet,
+        given: Sequence[tuple[FreeSway, Array] | None],
+        lengths: Array,
+        when: Array,
     ) -> _Starts:
         """Find where worlds hang on the first of some lengths, and move them by their sway.
 
-        Raises:
-            CarosacError: The first robot of a run cannot hang.
+        Args:
+            fleet: B robots.
+            given: Free directions and coordinates of each start; None: at rest.
+            lengths: At the first one or two times, shape (1 or 2, B, n).
+            when: Times.
         """
-        fleet = Fleet(robots)
         rest = statics.forward_kinematics(fleet, lengths[0])
         hangs = rest.converged & rest.stable
         rate = np.zeros_like(lengths[0])
         if len(lengths) > 1:
             rate = (lengths[1] - lengths[0]) / (when[1] - when[0])
         position, rotation = rest.position.copy(), rest.rotation.copy()
-        twist = np.zeros((len(robots), 6))
-        moves = np.zeros(len(robots), dtype=np.bool_)
-        sways: list[FreeSway] = []
-        coordinates: list[Array] = []
-        edge = 0
-        for run in runs:
-            if not hangs[edge]:
-                raise CarosacError(
-                    "the robot cannot hang at rest on the first recorded lengths "
-                    f"({statics.STATUS_REASONS[rest.status[edge]]})"
-                )
-            own = slice(edge, edge + len(run.robots))
-            edge = own.stop
-            if run.start is not None:
-                moves[own] = hangs[own]
-                sways += [run.start.sway] * int(hangs[own].sum())
-                coordinates += list(run.start.coordinates[hangs[own]])
+        twist = np.zeros((len(fleet), 6))
+        moves = hangs & np.array([start is not None for start in given])
         which = np.flatnonzero(moves)
         if len(which):
+            starts = [start for start, go in zip(given, moves, strict=True) if start and go]
             position[which], rotation[which], twist[which] = swaying_states(
-                sways, fleet.rows(which),
+                [sway for sway, _ in starts], fleet.rows(which),
                 Pose(position=rest.position[which], rotation=rest.rotation[which]),
-                lengths[0, which], rate[which], coordinates,
+                lengths[0, which], rate[which], [coordinates for _, coordinates in starts],
             )  # fmt: skip
-        return cls(hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist)
+        return cls(
+            hangs=hangs, moves=moves, position=position, rotation=rotation, twist=twist,
+            status=rest.status,
+        )  # fmt: skip
 
-    def rows(self, which: NDArray[np.int64]) -> _Starts:
-        """Return the starts of some worlds."""
-        return _Starts(
-            hangs=self.hangs[which],
-            moves=self.moves[which],
-            position=self.position[which],
-            rotation=self.rotation[which],
-            twist=self.twist[which],
-        )
+    def check(self, must: NDArray[np.bool_]) -> None:
+        """Refuse worlds of which some (B,) must hang but do not.
+
+        Raises:
+            CarosacError: Says why one does not.
+        """
+        loose = np.flatnonzero(must & ~self.hangs)
+        if len(loose):
+            raise CarosacError(
+                "the robot cannot hang at rest on the first recorded lengths "
+                f"({statics.STATUS_REASONS[self.status[loose[0]]]})"
+            )
 
 
 class _Worlds:

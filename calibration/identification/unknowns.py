@@ -31,7 +31,7 @@ from carosac_toolkit.physics.device import lever
 from carosac_toolkit.physics.motion.cable_drag import cable_drag_of
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.parameter_names import field_of, point_names
-from carosac_toolkit.robot.parameters import turn_between, values_of, with_values
+from carosac_toolkit.robot.parameters import fields_with, frame_turn, values_of
 from carosac_toolkit.robot.robot import DRY_FIELDS, Robot
 
 PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
@@ -99,12 +99,13 @@ class Coordinates:
                 values[i] *= values[self.prior.names.index("mass")] / robot.mass
         of_body = (*_INERTIA_NAMES, *_PRODUCT_PLACES)
         plain = [i for i, name in enumerate(self.prior.names) if name not in of_body]
-        changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
+        changed = fields_with(robot, [self.prior.names[i] for i in plain], values[plain])
         if not self.anchored:
-            exits = changed.exit_points @ turn_between(robot, changed).T
-            changed = replace(changed, exit_points=exits)
+            before = robot.pose_rotation
+            turn = frame_turn(before, changed.get("pose_rotation", before))
+            changed["exit_points"] = changed.get("exit_points", robot.exit_points) @ turn.T
         if len(plain) == len(self.prior.names):
-            return changed
+            return replace(robot, **changed)
         shear, stretch, along = np.eye(3), np.ones(3), _spreads(robot)
         for name, share in zip(self.prior.names, shares, strict=True):
             if name in _INERTIA_NAMES:
@@ -114,7 +115,7 @@ class Coordinates:
                 shear[row, column] = -share / along[column] ** 2
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = (shear @ spread @ shear.T) * np.outer(stretch, stretch)
-        return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
+        return replace(robot, **changed, inertia=np.trace(spread) * np.eye(3) - spread)
 
     def as_before(self, coordinates: Array, fields: Sequence[str]) -> Array:
         """Return coordinates (k,) with some fields as the robot file has them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -33,6 +33,22 @@ def record_type(struct: Any) -> np.dtype[Any]:
     return kind
 
 
+def _once(record: Callable[[Robot], NDArray[Any]]) -> Callable[[Robot], NDArray[Any]]:
+    """Keep the record of each robot, read-only, as long as the robot lives."""
+    known: WeakKeyDictionary[Robot, NDArray[Any]] = WeakKeyDictionary()
+
+    @wraps(record)
+    def kept(robot: Robot) -> NDArray[Any]:
+        found = known.get(robot)
+        if found is None:
+            found = known[robot] = record(robot)
+            found.flags.writeable = False
+        return found
+
+    return kept
+
+
+@_once
 def cable_records(robot: Robot) -> NDArray[Any]:
     """Return the cables of a robot as an array of `Cable` structs, shape (n,)."""
     records = np.zeros(robot.n, dtype=record_type(Cable))
@@ -45,6 +61,7 @@ def cable_records(robot: Robot) -> NDArray[Any]:
     return records
 
 
+@_once
 def body_record(robot: Robot) -> NDArray[Any]:
     """Return the platform of a robot as one `StaticBody` struct, shape ()."""
     record = np.zeros((), dtype=record_type(StaticBody))

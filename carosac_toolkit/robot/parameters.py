@@ -58,6 +58,20 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
     Raises:
         InvalidField: A name that the robot does not have, or a value that it cannot have.
     """
+    return replace(robot, **fields_with(robot, names, values))
+
+
+def fields_with(robot: Robot, names: Sequence[str], values: Array) -> dict[str, Any]:
+    """Return the fields that are others where some parameters have other values.
+
+    Args:
+        robot: The robot.
+        names: Parameters.
+        values: shape (k,).
+
+    Raises:
+        InvalidField: A name that the robot does not have.
+    """
     changed: dict[str, Any] = {}
     for name, value in zip(names, values, strict=True):
         field, where = locate(robot.cable_names, name)
@@ -73,14 +87,14 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
         if field == "inertia":
             array[where[::-1]] = value
     if "pose_tilt" in changed:
-        about_z = _turned(_tilt(robot)).T @ _pose_rotation(robot)
+        about_z = _turned(_tilt(robot)).T @ _given(robot.pose_rotation)
         changed["pose_rotation"] = _turned(changed.pop("pose_tilt")) @ about_z
     if changed.keys() & _UNCALIBRATED_VALUES.keys():  # all of the length sensors, or nothing
         for field, usual in _UNCALIBRATED_VALUES.items():
             known = getattr(robot, field)
             each = usual if field in SCALAR_FIELDS else np.full(robot.n, usual)
             changed.setdefault(field, each if known is None else known)
-    return replace(robot, **changed, calibrated=None, calibration_covariance=None)
+    return changed | {"calibrated": None, "calibration_covariance": None}
 
 
 def turn_between(before: Robot, after: Robot) -> Array:
@@ -89,7 +103,12 @@ def turn_between(before: Robot, after: Robot) -> Array:
     Returns:
         shape (3, 3); identity where both see them alike.
     """
-    return _pose_rotation(after) @ _pose_rotation(before).T
+    return frame_turn(before.pose_rotation, after.pose_rotation)
+
+
+def frame_turn(before: Array | None, after: Array | None) -> Array:
+    """Return the rotation of `turn_between` by both `pose_rotation`."""
+    return _given(after) @ _given(before).T
 
 
 def _get(robot: Robot, name: str) -> float:
@@ -126,9 +145,9 @@ def _unknown(robot: Robot, field: str) -> InvalidField:
     return InvalidField("parameter", f"'{field}'", f"one that robot {robot.name!r} has")
 
 
-def _pose_rotation(robot: Robot) -> Array:
+def _given(rotation: Array | None) -> Array:
     """Return the rotation from the frame of measured poses to W, (3, 3)."""
-    return np.eye(3) if robot.pose_rotation is None else robot.pose_rotation
+    return np.eye(3) if rotation is None else rotation
 
 
 def _tilt(robot: Robot) -> Array:
@@ -136,7 +155,7 @@ def _tilt(robot: Robot) -> Array:
 
     The rotation of the frame is a turn about z followed by this tilt.
     """
-    up = _pose_rotation(robot)[:, 2]
+    up = _given(robot.pose_rotation)[:, 2]
     sine = float(np.hypot(up[0], up[1]))
     angle = float(np.arctan2(sine, up[2]))
     tilt: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
