@@ -214,6 +214,7 @@ def check_rows(robot: Robot | Fleet, name: str, size: int) -> None:
 
 def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]:
     """Return cables (R, n) and bodies (R,) on a device, uploaded once; one row for one robot."""
+    warp_setup.initialise()
     with _lock:
         kept = _uploads.setdefault(robot, {})
         if device not in kept:
