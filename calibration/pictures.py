@@ -135,10 +135,11 @@ def draw_residuals(
         over, beside = grid[i]
         values = residual[:, i] * 1e3
         over.plot(where[good], values[good], ".", color=COLOR_AFTER, ms=2.5)
-        over.plot(
-            where[~good], np.clip(values[~good], -reach, reach), "x", color=COLOR_OUTLIER, ms=4,
-            clip_on=False,
-        )  # fmt: skip
+        if not good.all():  # nothing drawn beyond the axes would leave no room for them
+            over.plot(
+                where[~good], np.clip(values[~good], -reach, reach), "x", color=COLOR_OUTLIER,
+                ms=4, clip_on=False,
+            )  # fmt: skip
         over.set(ylabel=f"{name}\n[mm]", ylim=(-reach, reach))
         over.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         over.grid(alpha=0.25)

@@ -13,6 +13,7 @@ from calibration.identification.pictures import draw_motion, draw_rests, draw_ru
 from calibration.lengths.pictures import draw_poses
 from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.report import report_content as lengths_report
+from calibration.pictures import draw_residuals
 from calibration.self_calibration.report import report_content as angles_report
 from calibration.tachymeter.report import report_content as survey_report
 from carosac_toolkit.pictures.style import DOUBLE_COLUMN_INCH
@@ -72,6 +73,10 @@ def figures():
     found |= {
         "motion": draw_motion(result, result.runs[0], recording), "rests": draw_rests(result),
         "runs": draw_runs(result),
+        "without a blunder": draw_residuals(
+            "carosac", np.arange(9.0), 1e-3 * np.eye(9)[:, :4], np.zeros((9, 4), dtype=np.bool_),
+            lengths.robot.cable_names, label="time [s]",
+        ),
     }  # fmt: skip
     return {name: laid_out(figure) for name, figure in found.items()}
 
