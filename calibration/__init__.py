@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from calibration.prior import Prior
     from calibration.rests.calibrate import calibrate_rests
     from calibration.rests.result import RestCalibration
+    from calibration.rests.sensors import SensorCalibration, calibrate_sensors
     from calibration.rests.settings import RestSettings
     from calibration.rests.synthetic import RestScene, RestSceneSettings, draw_rest_scene
     from calibration.result import CalibrationResult
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
         draw_robot,
         measure_motor_angles,
     )
+    from calibration.sensor_errors import SensorError
     from calibration.tachymeter.calibrate import calibrate_tachymeter
     from calibration.tachymeter.observations import (
         Instrument,
@@ -109,6 +111,8 @@ _MODULES = {
     "SampleBlunder": "self_calibration.result",
     "SelfCalibration": "self_calibration.result",
     "SelfCalibrationSettings": "self_calibration.settings",
+    "SensorCalibration": "rests.sensors",
+    "SensorError": "sensor_errors",
     "Shot": "tachymeter.observations",
     "Sighting": "tachymeter.observations",
     "SuggestedPoses": "lengths.planning",
@@ -121,6 +125,7 @@ _MODULES = {
     "calibrate_lengths": "lengths.calibrate",
     "calibrate_motor_angles": "self_calibration.calibrate",
     "calibrate_rests": "rests.calibrate",
+    "calibrate_sensors": "rests.sensors",
     "calibrate_tachymeter": "tachymeter.calibrate",
     "draw_length_scene": "lengths.synthetic",
     "draw_positions": "self_calibration.synthetic",
@@ -177,6 +182,8 @@ __all__ = [
     "SampleBlunder",
     "SelfCalibration",
     "SelfCalibrationSettings",
+    "SensorCalibration",
+    "SensorError",
     "Shot",
     "Sighting",
     "SuggestedPoses",
@@ -189,6 +196,7 @@ __all__ = [
     "calibrate_lengths",
     "calibrate_motor_angles",
     "calibrate_rests",
+    "calibrate_sensors",
     "calibrate_tachymeter",
     "draw_length_scene",
     "draw_positions",

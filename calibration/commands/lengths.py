@@ -43,15 +43,18 @@ from calibration.report import (
     write_new_robot,
     write_report,
 )
+from calibration.rests.sensors import SensorCalibration, calibrate_sensors
 from calibration.rests.settings import RestSettings
 from calibration.robot_update import check_output
 from calibration.self_calibration.motor_angle_files import holds_motor_angles
 from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.sensor_errors import print_sensors, sensor_data
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.files import load_recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
@@ -72,10 +75,13 @@ MOTOR_ANGLE_OPTIONS = (
 )  # options that count
 MOTOR_ANGLE_ONLY_OPTIONS = MOTOR_ANGLE_OPTIONS[6:]
 REST_OPTIONS = (
-    *MOTOR_ANGLE_OPTIONS[:6], "start", "stop", "length_noise", "tension_noise", "attitude_noise",
-    "swivel_noise", "offset_prior",
+    *MOTOR_ANGLE_OPTIONS[:6], "start", "stop", "length_noise", "offset_prior",
+    "tension_noise", "attitude_noise", "swivel_noise",
 )  # fmt: skip
-REST_ONLY_OPTIONS = ("tension_noise", "attitude_noise", "swivel_noise")
+SENSOR_OPTIONS = {
+    "tension_noise": ("tension",), "attitude_noise": ("attitude", "inclination"),
+    "swivel_noise": ("swivel_angle",),
+}  # fmt: skip
 WEAK_SENTENCES_MAX = 8  # on what is hardly known, on the screen; the report has all
 
 
@@ -121,11 +127,11 @@ class Options(CommonOptions):
     """Standard deviation of a reading [m]; by default estimated from what the fit leaves, and
     0.5 mm for rests without poses."""
     tension_noise: float = RestSettings.tension_noise
-    """Rests without poses: standard deviation of a load cell, as a share of its reading."""
+    """Standard deviation of a load cell at a rest, as a share of its reading."""
     attitude_noise: float = RestSettings.attitude_noise
-    """Rests without poses: standard deviation of an AHRS or inclinometer, per axis [rad]."""
+    """Standard deviation of an AHRS or inclinometer at a rest, per axis [rad]."""
     swivel_noise: float = RestSettings.swivel_noise
-    """Rests without poses: standard deviation of a swivel angle [rad]."""
+    """Standard deviation of a swivel angle at a rest [rad]."""
     position_noise: float = LengthSettings.position_noise
     """Standard deviation of a measured position, per axis [m]."""
     rotation_noise: float = LengthSettings.rotation_noise
@@ -158,13 +164,13 @@ def run(options: Options) -> CommandResult:
     if not 0 <= options.suggest_poses <= SUGGESTED_POSES_MAX:
         raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {SUGGESTED_POSES_MAX}")
     recording = load_recording(path)
+    _check_sensor_options(options, recording)
     if recording.poses is None:
         from calibration.rests.command import run_rests
 
         _check_options(options, REST_OPTIONS, "not with a recording without poses")
         return run_rests(options, _rest_settings(options), recording, path)
-    only_elsewhere = (*REST_ONLY_OPTIONS, *MOTOR_ANGLE_ONLY_OPTIONS)
-    others = [name for name in vars(options) if name not in only_elsewhere]
+    others = [name for name in vars(options) if name not in MOTOR_ANGLE_ONLY_OPTIONS]
     _check_options(options, others, "not with a recording with poses")
     settings = _settings(options)
     robot_source = find_robot(recording, path, options.robot)
@@ -178,6 +184,10 @@ def run(options: Options) -> CommandResult:
     except Unobservable:
         _print_suggested(_suggested(options, settings, robot_source.robot))
         raise
+    sensors = calibrate_sensors(
+        recording.slice(options.start, options.stop), result.robot, level=result.level,
+        settings=_rest_settings(options),
+    )  # fmt: skip
     suggested = _suggested(options, settings, result)
     print_sentences(
         [
@@ -186,11 +196,12 @@ def run(options: Options) -> CommandResult:
         ],
         "",
     )
-    _print(result, suggested)
-    _write(options, result, suggested, robot_source.name)
+    _print(result, suggested, sensors)
+    _write(options, result, suggested, sensors, robot_source.name)
     data = {
         "robot": robot_source.name,
         **result.data(),
+        "sensors": sensor_data(sensors.errors),
         "suggested_poses": suggested.data() if suggested is not None else [],
     }
     return CommandResult(data, status=1 if result.warnings else 0)
@@ -206,9 +217,17 @@ def _check_options(options: Options, allowed: Sequence[str], where: str) -> None
             )
 
 
+def _check_sensor_options(options: Options, recording: Recording) -> None:
+    """Refuse the noise of a sensor that a recording does not have."""
+    for option, channels in SENSOR_OPTIONS.items():
+        if all(getattr(recording, channel) is None for channel in channels):
+            others = [name for name in vars(options) if name != option]
+            _check_options(options, others, "not with a recording without such a sensor")
+
+
 def _rest_settings(options: Options) -> RestSettings:
     """Return the noise and priors for a recording without poses."""
-    chosen = {name: getattr(options, name) for name in (*REST_ONLY_OPTIONS, "offset_prior")}
+    chosen = {name: getattr(options, name) for name in (*SENSOR_OPTIONS, "offset_prior")}
     if options.length_noise is not None:
         chosen["length_noise"] = options.length_noise
     return RestSettings(**chosen)
@@ -230,12 +249,14 @@ def _suggested(
     )
 
 
-def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
+def _print(
+    result: LengthCalibration, suggested: SuggestedPoses | None, sensors: SensorCalibration
+) -> None:
     """Print warnings, tables and sentences within the width of the terminal."""
     width = max(80, shutil.get_terminal_size().columns)
     print_sentences(result.warnings, "WARNING: ")
     print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
-    print_sentences(result.sentences())
+    print_sentences([*result.sentences(), *sensors.sentences])
     weak = [*result.observability.sentences(), *result.notes]
     print_sentences(weak[:WEAK_SENTENCES_MAX])
     if len(weak) > WEAK_SENTENCES_MAX:
@@ -244,6 +265,7 @@ def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
         )
     print()
     print_parameters(result.estimate)
+    print_sensors(sensors.errors)
     _print_suggested(suggested)
 
 
@@ -255,8 +277,9 @@ def _print_suggested(suggested: SuggestedPoses | None) -> None:
 
 
 def _write(
-    options: Options, result: LengthCalibration, suggested: SuggestedPoses | None, robot: str
-) -> None:
+    options: Options, result: LengthCalibration, suggested: SuggestedPoses | None,
+    sensors: SensorCalibration, robot: str,
+) -> None:  # fmt: skip
     """Write robot file and report."""
     write_new_robot(
         result, robot, options.output, name=options.output.stem if options.output else None,
@@ -270,7 +293,7 @@ def _write(
             options.report,
             f"Calibration of {result.robot.name} from {Path(options.recording).name}",
             result,
-            report_content(result, suggested),
+            report_content(result, suggested, sensors.errors),
             provenance={"recording": options.recording, "robot": robot},
             command=[
                 "carosac", "calibrate", "lengths", options.recording, "--robot", robot,

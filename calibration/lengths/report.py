@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calibration.lengths.pictures import images
@@ -13,6 +15,7 @@ from calibration.report import (
     observability_html,
     parameters_html,
 )
+from calibration.sensor_errors import SensorError, sensors_html
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.reports.page import bullets, table
 
@@ -63,8 +66,12 @@ def pose_rows(suggested: SuggestedPoses) -> Rows:
     ]
 
 
-def report_content(result: LengthCalibration, suggested: SuggestedPoses | None) -> ReportContent:
-    """Return tables and pictures of the report, with further poses if there are any."""
+def report_content(
+    result: LengthCalibration,
+    suggested: SuggestedPoses | None,
+    sensors: Sequence[SensorError] = (),
+) -> ReportContent:
+    """Return tables and pictures of the report, with further poses and sensors if there are any."""
     outliers = result.outliers()
     rows: Rows = [
         (
@@ -78,6 +85,7 @@ def report_content(result: LengthCalibration, suggested: SuggestedPoses | None) 
         observability_html(result.observability),
         bullets(result.notes),
         parameters_html(result.estimate),
+        sensors_html(sensors),
     ]
     if suggested is not None:
         note = "<p>Each is the best one together with those above it.</p>"

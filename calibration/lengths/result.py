@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calibration.lengths.unknowns import LengthUnknowns
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_rotation_vector
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +77,13 @@ class LengthCalibration(CalibrationResult):
     converged: bool
     covariance: Array
     seconds: float
+
+    @property
+    def level(self) -> Array:
+        """Rotation from W, which may be the frame of tilted poses, to one whose z is up, (3, 3)."""
+        if self.anchored or self.gravity is None:
+            return np.eye(3)
+        return from_rotation_vector(np.append(self.gravity.tilt, 0.0))
 
     @property
     def residual_rms(self) -> float:

@@ -24,14 +24,11 @@ from calibration.rests.checks import check_observable, no_rests
 from calibration.rests.fit import RestFit, first_lengths, fit
 from calibration.rests.model import RestModel
 from calibration.rests.readings import rest_readings
-from calibration.rests.result import (
-    SENSOR_WORDS,
-    RestCalibration,
-    SensorError,
-)
+from calibration.rests.result import RestCalibration
 from calibration.rests.settings import RestSettings
 from calibration.rests.start import RestStart, find_starts
-from calibration.rests.unknowns import SENSOR_UNITS, RestUnknowns, find_unknowns
+from calibration.rests.unknowns import RestUnknowns, find_unknowns
+from calibration.sensor_errors import SENSOR_UNITS, SENSOR_WORDS, SensorError
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameter_names import field_of

@@ -9,8 +9,8 @@ from calibration.observability import Unobservable
 from calibration.rests.fit import first_lengths
 from calibration.rests.model import RestModel
 from calibration.rests.readings import RestReadings
-from calibration.rests.result import SENSOR_WORDS
 from calibration.rests.start import RestStart
+from calibration.sensor_errors import SENSOR_WORDS
 
 POSE_SIGMA_SHARE_MAX = 0.02  # of the size of the frame: a first rest known worse is not known
 

@@ -16,15 +16,13 @@ from calibration.rests.calibrate import calibrate_rests
 from calibration.rests.report import (
     BLUNDER_GROUPS,
     BLUNDER_HEADER,
-    SENSOR_GROUPS,
-    SENSOR_HEADER,
     blunder_rows,
     report_content,
-    sensor_rows,
 )
 from calibration.rests.result import RestCalibration
 from calibration.rests.settings import RestSettings
 from calibration.robot_update import check_output
+from calibration.sensor_errors import print_sensors
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.recordings.recording import Recording
@@ -120,9 +118,7 @@ def _print(result: RestCalibration) -> None:
     print_sentences(result.observability.sentences())
     print()
     print_parameters(result.estimate)
-    if result.sensors:
-        print("\nerrors of the other sensors:")
-        print(fit(SENSOR_HEADER, sensor_rows(result), SENSOR_GROUPS, terminal_width()))
+    print_sensors(result.sensors)
     if result.blunders:
         print("\nleft out as blunders:")
         print(fit(BLUNDER_HEADER, blunder_rows(result), BLUNDER_GROUPS, terminal_width()))

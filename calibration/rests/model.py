@@ -6,7 +6,6 @@ are those of the statics on them. Derivatives are central differences of batches
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import cached_property
 
 import numpy as np
@@ -174,9 +173,9 @@ class RestModel:
         step = self._length_step(length)
         changes = np.einsum("ki,ij->jki", step, np.eye(n))  # (n, K, n)
         moved = np.concatenate([length - changes, length + changes]).reshape(-1, n)
-        found = self.equilibria(value, moved, _rows(rest, np.tile(np.arange(count), 2 * n)))
+        found = self.equilibria(value, moved, rest.rows(np.tile(np.arange(count), 2 * n)))
         rows = np.arange(2 * n * count).reshape(2, n, count)
-        return [(_rows(found, rows[0, i]), _rows(found, rows[1, i])) for i in range(n)]
+        return [(found.rows(rows[0, i]), found.rows(rows[1, i])) for i in range(n)]
 
     def _by_length(self, value: Array, length: Array, rest: statics.Equilibrium) -> Array:
         """Return the derivative of the residuals by the true lengths, shape (K, m, n)."""
@@ -237,11 +236,6 @@ class RestModel:
             for robot, moved, found in self._sides(place, value, length, rest)
         )
         return np.asarray((after - before) / (2.0 * self._parameter_step(place)))
-
-
-def _rows(rest: statics.Equilibrium, rows: Array) -> statics.Equilibrium:
-    """Return some of the equilibria."""
-    return statics.Equilibrium(**{f.name: getattr(rest, f.name)[rows] for f in fields(rest)})
 
 
 def _moves(low: statics.Equilibrium, high: statics.Equilibrium) -> Array:

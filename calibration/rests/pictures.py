@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER, draw_learnt
-from calibration.rests.result import SENSOR_WORDS, RestCalibration
+from calibration.rests.result import RestCalibration
+from calibration.sensor_errors import SENSOR_WORDS
 from carosac_toolkit.pictures.drawing import new_figure, put_legend, set_plane, set_title, views
 from carosac_toolkit.pictures.style import (
     DOUBLE_COLUMN_INCH,

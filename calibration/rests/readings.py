@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.base.arrays import Array
@@ -40,6 +41,15 @@ class RestReadings:
     swivel_angle: Array | None = None
     single: bool = False
     skipped: dict[str, int]
+
+    def rows(self, which: NDArray[np.int64]) -> RestReadings:
+        """Return some of the rests."""
+        channels = {
+            name: value[which]
+            for name in ("time", "length", "tension", "attitude", "inclination", "swivel_angle")
+            if (value := getattr(self, name)) is not None
+        }
+        return replace(self, **channels)
 
 
 def rest_readings(recording: Recording) -> RestReadings:

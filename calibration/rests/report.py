@@ -11,26 +11,17 @@ from calibration.report import (
     parameters_html,
 )
 from calibration.rests.pictures import images
-from calibration.rests.result import SENSOR_WORDS, RestCalibration
+from calibration.rests.result import RestCalibration
+from calibration.sensor_errors import SENSOR_WORDS, sensors_html
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.reports.page import table
 
-SENSOR_HEADER = ("error of a sensor", "unit", "known to", "found", "1 sigma")
-SENSOR_GROUPS = (2, 3)
 BLUNDER_HEADER = ("sensor", "cable", "rest", "sigmas")
 BLUNDER_GROUPS = (2, 2)
 REST_HEADER = (
     "rest", "time [s]", "x [m]", "y [m]", "z [m]", "1 sigma x, y, z [mm]",
     "1 sigma about x, y, z [degrees]",
 )  # fmt: skip
-
-
-def sensor_rows(result: RestCalibration) -> Rows:
-    """Return one row for each error of a sensor."""
-    return [
-        (s.name, s.unit, f"{s.prior_sigma:.2g}", f"{s.value:+.4g}", f"{s.sigma:.2g}")
-        for s in result.sensors
-    ]
 
 
 def blunder_rows(result: RestCalibration) -> Rows:
@@ -46,9 +37,7 @@ def report_content(result: RestCalibration) -> ReportContent:
     parts = [
         observability_html(result.observability),
         parameters_html(result.estimate),
-        "<h2>Errors of other sensors</h2><p>They do not go into the robot file. The scale of a "
-        "load cell is given less 1. Known to: one standard deviation before.</p>"
-        + table(SENSOR_HEADER, sensor_rows(result), left=2),
+        sensors_html(result.sensors),
         "<h2>Poses of rest</h2>" + table(REST_HEADER, _rest_rows(result), left=1),
         blunders_html(BLUNDER_HEADER, blunder_rows(result), left=2),
     ]

@@ -9,36 +9,9 @@ from typing import Any
 import numpy as np
 
 from calibration.result import CalibrationResult
+from calibration.sensor_errors import SENSOR_WORDS, SensorError, sensor_data
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import from_matrix
-
-SENSOR_WORDS = {
-    "length": ("lengths", "mm", 1e3), "tension": ("load cells", "N", 1.0),
-    "attitude": ("the AHRS", "degrees", np.rad2deg(1.0)),
-    "inclination": ("the inclinometer", "degrees", np.rad2deg(1.0)),
-    "swivel_angle": ("swivel angles", "degrees", np.rad2deg(1.0)),
-}  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorError:
-    """Estimated error of a sensor that is no parameter of a robot file.
-
-    Attributes:
-        name: ``tension_scale[C]`` (reading per tension, less 1), ``tension_offset[C]`` [N],
-            ``swivel_offset[C]`` [rad], ``mounting.x`` (rotation vector from the sensor to P [rad],
-            also y, z) or ``heading`` (of W in the level frame of the AHRS [rad]).
-        unit: Its SI unit.
-        value: Estimated.
-        sigma: One standard deviation.
-        prior_sigma: The same before; the prior mean is 0.
-    """
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    prior_sigma: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,13 +107,7 @@ class RestCalibration(CalibrationResult):
             "misfit": self.misfit,
             "redundancy": self.redundancy,
             "parameters": self.estimate.data(),
-            "sensors": {
-                s.name: {
-                    "value": s.value, "sigma": s.sigma, "prior_sigma": s.prior_sigma,
-                    "unit": s.unit,
-                }
-                for s in self.sensors
-            },
+            "sensors": sensor_data(self.sensors),
             "observability": self.observability.data(),
             "blunders": [vars(blunder) for blunder in self.blunders],
             "skipped": dict(self.skipped),

@@ -18,10 +18,6 @@ from carosac_toolkit.robot.parameter_names import field_of, point_names
 from carosac_toolkit.robot.parameters import values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
-SENSOR_UNITS = {
-    "tension_scale": "1", "tension_offset": "N", "swivel_offset": "rad", "mounting": "rad",
-    "heading": "rad",
-}  # fmt: skip
 MOVING_FIELDS = ("exit_points", "anchor_points", "center_of_mass", "mass")  # they move the platform
 
 

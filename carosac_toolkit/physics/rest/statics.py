@@ -6,7 +6,7 @@ origin; `unstrained_length` is the material between a cable's datum and its anch
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,10 @@ class Equilibrium:
     exit_tension: Array
     status: NDArray[np.int32]
     iterations: NDArray[np.int32]
+
+    def rows(self, which: NDArray[np.int64]) -> Equilibrium:
+        """Return some of the poses."""
+        return Equilibrium(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
 
 
 def forward_kinematics(
