@@ -28,6 +28,7 @@ from carosac_toolkit.drivers.sensors import (
 )
 from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
 from carosac_toolkit.physics.scales import Scales
+from carosac_toolkit.robot.robot import Robot
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
 RANDOM_STREAMS = (
@@ -334,6 +335,16 @@ def _delay_lines(sensors: Sequence[str], settings: SensorSettings) -> Mapping[st
     return lines
 
 
+def check_pulleys(robot: Robot, field: str, value: str, without: str) -> None:
+    """Refuse swivel encoders on a robot without pulleys; `without` is what it may have instead.
+
+    Raises:
+        InvalidField: Names the field and its value.
+    """
+    if not (robot.pulley_radius > 0.0).any():
+        raise InvalidField(field, value, f"{without}: robot {robot.name!r} has no pulleys")
+
+
 def check_sensors(suite: str, settings: SensorSettings, plant: Plant) -> None:
     """Refuse sensors that a plant cannot have.
 
@@ -347,7 +358,6 @@ def check_sensors(suite: str, settings: SensorSettings, plant: Plant) -> None:
     named = "swivel" in suite.split("+")
     field, value = ("suite", repr(suite)) if named else ("sensors.swivel", "True")
     without = "one without swivel" if named else "False"
-    if not (plant.robot.pulley_radius > 0.0).any():
-        raise InvalidField(field, value, f"{without}: robot {plant.robot.name!r} has no pulleys")
+    check_pulleys(plant.robot, field, value, without)
     if not isinstance(plant, Swivelling):
         raise InvalidField(field, value, f"{without}: this plant has no swivel angles")

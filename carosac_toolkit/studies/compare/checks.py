@@ -11,6 +11,7 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.settings import filled
+from carosac_toolkit.drivers.sensor_suite import check_pulleys
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import replays
@@ -78,12 +79,11 @@ def check_sensors(driver: Any, name: str, sensors: Sequence[str]) -> None:
                 raise InvalidField("sensors", error.value, error.allowed) from error
 
 
-def check_pulleys(robots: Sequence[Robot], sensors: Sequence[str]) -> None:
+def check_swivels(robots: Sequence[Robot], sensors: Sequence[str]) -> None:
     """Refuse swivel encoders on simulated robots without pulleys."""
     for robot, suite in product(robots, sensors):
-        if "swivel" in suite.split("+") and not (robot.pulley_radius > 0.0).any():
-            allowed = f"one without swivel: robot {robot.name!r} has no pulleys"
-            raise InvalidField("sensors", repr(suite), allowed)
+        if "swivel" in suite.split("+"):
+            check_pulleys(robot, "sensors", repr(suite), "one without swivel")
 
 
 def check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:

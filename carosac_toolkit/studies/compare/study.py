@@ -22,9 +22,9 @@ from carosac_toolkit.studies.compare.checks import (
     RECORDED_TRAJECTORY,
     check_known,
     check_positive,
-    check_pulleys,
     check_sensors,
     check_settings,
+    check_swivels,
     check_truth,
     find_plugin,
 )
@@ -327,7 +327,7 @@ def _check(study: Study) -> None:
     _check_execution(study)
     robots = [load_robot(robot) for robot in study.robots]
     if not replays(driver):
-        check_pulleys(robots, study.sensors)
+        check_swivels(robots, study.sensors)
     for name in study.perturbations:
         find_condition(name)
     own = own_settings(study.driver, study.driver_settings)
