@@ -47,6 +47,7 @@ from carosac_toolkit.loop.loop import Step
 from carosac_toolkit.loop.loop import run as run_loop
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
 from carosac_toolkit.loop.plugin_settings import chosen_settings
+from carosac_toolkit.physics.motion.winch import PaidOutLengths
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
@@ -75,7 +76,7 @@ def run(options: Options) -> CommandResult:
         say(_what(options, guard, recorder, path))
         with ending_of(guard, recorder.close) as ending, steered(path, guard):
             parts = (guard, estimator, controller, paced(path, options, guard))
-            completed, error = _run(options, *parts, statistics, real_time)
+            completed, error = _run(options, robot, *parts, statistics, real_time)
         statistics.end_line()
         whole = recorder.close()
     if guard.fault is None and error is None and (guard.unrecorded or not whole):
@@ -116,8 +117,8 @@ def _prepared(options: Options, guard: GuardedDriver) -> Iterator[RealTime | Non
 
 
 def _run(
-    options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: PacedPath,
-    statistics: Statistics, real_time: RealTime | None,
+    options: Options, robot: Robot, guard: GuardedDriver, estimator: Any, controller: Any,
+    path: PacedPath, statistics: Statistics, real_time: RealTime | None,
 ) -> tuple[bool, BaseException | None]:  # fmt: skip
     """Run the loop; return whether it came to its end, and an error once it was connected."""
     duration = path.duration + REST_S if options.duration is None else options.duration
@@ -133,6 +134,7 @@ def _run(
         log = run_loop(
             guard, estimator, controller, path, duration=duration, watch=watch, keep=1,
             by_clock=options.duration is not None,  # else to the end of the path, by cycles
+            paid_out=PaidOutLengths.of(robot),
         )  # fmt: skip
     except BaseException as error:
         if guard.fault is None and (statistics.cycles == 0 or isinstance(error, KeyboardInterrupt)):

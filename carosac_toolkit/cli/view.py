@@ -43,6 +43,7 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
 from carosac_toolkit.loop.plugin_settings import chosen_settings
+from carosac_toolkit.physics.motion.winch import PaidOutLengths
 from carosac_toolkit.recordings.bundled import list_recordings
 from carosac_toolkit.robot.bundled_names import list_robots
 from carosac_toolkit.robot.file import load_robot
@@ -285,8 +286,9 @@ def _live(options: Options, robot: Robot) -> CommandResult:
         if options.priority:
             take_priority("carosac view", inherited=False)
         watch, error = follow(
-            page.instants, driver, estimator, controller, target, duration=options.duration
-        )
+            page.instants, driver, estimator, controller, target, duration=options.duration,
+            paid_out=PaidOutLengths.of(robot),
+        )  # fmt: skip
         if error is not None:
             page.say(f"ENDED: {error}")
     finally:

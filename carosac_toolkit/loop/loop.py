@@ -132,6 +132,7 @@ def run(
     driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource, *,
     duration: float | None = None, watch: Callable[[Step], None] | None = None,
     keep: int | None = None, by_clock: bool = False,
+    paid_out: Callable[[Array], Array] | None = None,
 ) -> Log:  # fmt: skip
     """Run one controller and one estimator on one driver along one trajectory.
 
@@ -145,6 +146,8 @@ def run(
         duration: Length of the run [s]; None: to the end of the trajectory and one second of rest.
         watch: Called after each command, before the wait.
         keep: Number of last cycles in the log; None: all of them.
+        paid_out: Turns measured lengths (B, n) [m], one after another, into those that the
+            estimator sees; `PaidOutLengths` does where winches have hysteresis. None: the same.
         by_clock: True to count `duration` by the clock of the driver, also where it misses ticks;
             else by cycles, one period each.
 
@@ -164,7 +167,7 @@ def run(
     try:
         driver.connect()
         over = _Over(cycles, total - 1.5 * period if by_clock else None)
-        alive = _cycles(driver, estimator, controller, trajectory, over, steps, watch)
+        alive = _cycles(driver, estimator, controller, trajectory, over, steps, watch, paid_out)
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
@@ -182,7 +185,7 @@ def run(
 def _cycles(
     driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource,
     over: Callable[[int, float], bool], steps: MutableSequence[Step],
-    watch: Callable[[Step], None] | None,
+    watch: Callable[[Step], None] | None, paid_out: Callable[[Array], Array] | None,
 ) -> bool:  # fmt: skip
     """Run until it is over; False where the driver ended earlier."""
     measurement = driver.measure()
@@ -198,12 +201,12 @@ def _cycles(
         now = float(measurement.time[0]) - start
         reference = _reference(trajectory, controller, now, start)
         began = clock()
-        first = belief is None
+        first, seen = belief is None, measurement
+        if paid_out is not None:
+            seen = replace(measurement, unstrained_length=paid_out(measurement.unstrained_length))
         with _blamed(driver, "estimator", estimator):
             estimate = (
-                estimator.reset(measurement)
-                if belief is None
-                else estimator.update(belief, applied, measurement)
+                estimator.reset(seen) if belief is None else estimator.update(belief, applied, seen)
             )
             belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):

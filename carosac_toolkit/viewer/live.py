@@ -186,6 +186,7 @@ def _numbers(place: Array) -> tuple[float, ...]:
 def follow(
     instants: Publisher[Instant], driver: Any, estimator: Estimator, controller: Controller,
     target: HandTarget, *, duration: float | None = None,
+    paid_out: Callable[[Array], Array] | None = None,
 ) -> tuple[LiveWatch, CarosacError | None]:  # fmt: skip
     """Run the loop until its end or Ctrl-C; `instants` is closed then.
 
@@ -196,6 +197,7 @@ def follow(
         controller: Controller of the loop.
         target: Target to follow.
         duration: Duration [s]; None: until interrupted.
+        paid_out: As of the loop.
 
     Returns:
         What the loop did, and the error that has ended it.
@@ -205,7 +207,7 @@ def follow(
         with short_pauses():
             run(
                 driver, estimator, controller, target, watch=watch, keep=1,
-                duration=target.duration if duration is None else duration,
+                duration=target.duration if duration is None else duration, paid_out=paid_out,
             )  # fmt: skip
     except CarosacError as error:
         return watch, error

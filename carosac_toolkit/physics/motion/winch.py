@@ -235,15 +235,54 @@ def lagging_lengths(wound_length: Array, hysteresis: Array) -> Array:
     """
     if not np.any(hysteresis):
         return wound_length
+    return _lagging(wound_length, hysteresis, np.zeros(wound_length.shape[1:]))[0]
+
+
+class PaidOutLengths:
+    """Unstrained lengths by what the drums of a robot have turned for, one reading after another.
+
+    The first are in the middle of the hysteresis.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        """Take the hysteresis of n winches."""
+        self._hysteresis = robot.length_hysteresis[None]
+        self._before: Array | None = None
+        self._lag = np.zeros(0)
+
+    @classmethod
+    def of(cls, robot: Robot) -> PaidOutLengths | None:
+        """Return those of a robot whose winches have hysteresis; None where lengths are read."""
+        return cls(robot) if robot.length_hysteresis.any() else None
+
+    def __call__(self, wound_length: Array) -> Array:
+        """Return the lengths after the next reading [m], both (B, n)."""
+        if self._before is None:
+            self._before, self._lag = wound_length, np.zeros(wound_length.shape)
+        way = np.stack([self._before, wound_length])
+        length, self._lag = _lagging(way, self._hysteresis, self._lag)
+        self._before = wound_length
+        return np.asarray(length[1])
+
+
+def _lagging(wound_length: Array, hysteresis: Array, lag: Array) -> tuple[Array, Array]:
+    """Return true lengths (K, B, n) of wound ones, and lags at the last.
+
+    Args:
+        wound_length: shape (K, B, n).
+        hysteresis: shape (B, n), or (1, n) of all.
+        lag: At the first, shape (B, n).
+    """
     warp_setup.load(winch_kernels)
     length = wp.empty(wound_length.shape, dtype=wp.float64, device="cpu")
+    lags = wp.array(lag, dtype=wp.float64, device="cpu")
     inputs = [
         wp.array(wound_length, dtype=wp.float64, device="cpu"),
         wp.array(hysteresis, dtype=wp.float64, device="cpu"),
-        length,
-    ]
+        lags, length,
+    ]  # fmt: skip
     wp.launch(winch_kernels.lagging, wound_length.shape[1:], inputs=inputs, device="cpu")
-    return np.array(length.numpy())
+    return np.array(length.numpy()), np.array(lags.numpy())
 
 
 def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None:

@@ -186,16 +186,21 @@ def advance(
 def lagging(
     wound: wp.array3d(dtype=wp.float64),
     hysteresis: wp.array2d(dtype=wp.float64),
+    lags: wp.array2d(dtype=wp.float64),
     length: wp.array3d(dtype=wp.float64),
 ):
-    """Compute true lengths of wound ones in time, (K, B, n), first in the middle; a thread each."""
+    """Compute true lengths of wound ones in time, (K, B, n), and lags from first to last.
+
+    One thread a cable.
+    """
     b, i = wp.tid()
-    h = hysteresis[b, i]
-    lag = wp.float64(0.0)
-    length[0, b, i] = wound[0, b, i]
+    h = hysteresis[wp.min(b, hysteresis.shape[0] - 1), i]
+    lag = lags[b, i]
+    length[0, b, i] = wound[0, b, i] - h * lag
     for k in range(1, wound.shape[0]):
         lag = lag_after(lag, wound[k, b, i] - wound[k - 1, b, i], h)
         length[k, b, i] = wound[k, b, i] - h * lag
+    lags[b, i] = lag
 
 
 @wp.kernel

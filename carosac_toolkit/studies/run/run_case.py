@@ -24,6 +24,7 @@ from carosac_toolkit.loop.plugin_builder import build_plugin, uses_of
 from carosac_toolkit.loop.plugin_errors import BadPlugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.motion.winch import PaidOutLengths
 from carosac_toolkit.physics.scales import Scales
 from carosac_toolkit.robot.condition_file import condition_digest, find_condition
 from carosac_toolkit.robot.file import load_robot, robot_text
@@ -118,7 +119,8 @@ def run_case(case: Case) -> dict[str, Any]:
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
         rehearse(robot, estimator, controller, path, suite=case.sensors)
-    log = run(driver, estimator, controller, path, duration=duration)
+    paid_out = None if recorded else PaidOutLengths.of(robot)
+    log = run(driver, estimator, controller, path, duration=duration, paid_out=paid_out)
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)

@@ -16,6 +16,7 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
+from carosac_toolkit.physics.motion.winch import PaidOutLengths
 from carosac_toolkit.studies.run.case import TRUTH, Case, canonical
 from carosac_toolkit.studies.run.divergence import DIVERGED, divergence
 from carosac_toolkit.studies.run.limit_scores import own_words
@@ -84,7 +85,10 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
         raise CarosacError("a driver in real time runs one case at a time")
     estimator = estimator_of(first, robot, driver)
     rest = final_rest(robot)
-    log = run(driver, estimator, controller, paths, duration=rest + paths.duration)
+    log = run(
+        driver, estimator, controller, paths, duration=rest + paths.duration,
+        paid_out=PaidOutLengths.of(robot),
+    )  # fmt: skip
     if not log.completed:
         raise CarosacError("the driver stopped before the end")
     rows = []

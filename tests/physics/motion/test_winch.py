@@ -10,6 +10,7 @@ from scipy.linalg import expm
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.motion.winch import (
     Encoders,
+    PaidOutLengths,
     WinchBatch,
     WinchSettings,
     inner_steps,
@@ -338,3 +339,13 @@ def test_recorded_lengths_lag_as_those_of_a_winch():
     start = np.full((1, 4), START)
     lagged = lagging_lengths(np.concatenate([start, wound])[:, None], wide[None])[1:, 0]
     assert lagged == pytest.approx(lengths, abs=1e-12)
+
+
+def test_lengths_paid_out_reading_by_reading_are_those_of_all_readings():
+    wide = np.array([1e-3, 2e-3, 0.0, 5e-3])
+    wound = START + 0.02 * np.sin(np.linspace(0.0, 9.0, 60))[:, None, None] * np.ones((1, 3, 4))
+    wound[:, 1] += 0.01 * np.cos(np.linspace(0.0, 20.0, 60))[:, None]
+    one_by_one = PaidOutLengths.of(simple_robot(length_hysteresis=wide))
+    found = np.array([one_by_one(each) for each in wound])
+    assert np.array_equal(found, lagging_lengths(wound, np.tile(wide, (3, 1))))
+    assert PaidOutLengths.of(simple_robot()) is None
