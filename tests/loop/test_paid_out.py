@@ -38,7 +38,9 @@ class Listener:
 def heard(robot, paid_out):
     """The lengths that an estimator hears, and the true ones, (T, n) each."""
     home = robot.home_position
-    path = trajectories.line(home, [*home, 0.3, 0.2, 0.2], speed_max=0.4, acceleration_max=0.5)
+    path = trajectories.line(
+        home, home + np.array([0.3, 0.2, 0.2]), speed_max=0.4, acceleration_max=0.5
+    )
     driver = build_plugin(
         plugins.load("drivers", "quasi_static"), robot, where="driver", seed=0,
         asked={"start_position": tuple(home), "sensors": PERFECT_SENSORS},
