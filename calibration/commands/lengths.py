@@ -78,10 +78,11 @@ REST_OPTIONS = (
     *MOTOR_ANGLE_OPTIONS[:6], "start", "stop", "length_noise", "offset_prior",
     "tension_noise", "attitude_noise", "swivel_noise",
 )  # fmt: skip
-SENSOR_OPTIONS = {
-    "tension_noise": ("tension",), "attitude_noise": ("attitude", "inclination"),
-    "swivel_noise": ("swivel_angle",),
-}  # fmt: skip
+SENSOR_OPTIONS = {  # channels of which they are, and how to call these
+    "tension_noise": (("tension",), "load cells"),
+    "attitude_noise": (("attitude", "inclination"), "an AHRS or inclinometer"),
+    "swivel_noise": (("swivel_angle",), "swivel angles"),
+}
 WEAK_SENTENCES_MAX = 8  # on what is hardly known, on the screen; the report has all
 
 
@@ -173,6 +174,7 @@ def run(options: Options) -> CommandResult:
     others = [name for name in vars(options) if name not in MOTOR_ANGLE_ONLY_OPTIONS]
     _check_options(options, others, "not with a recording with poses")
     settings = _settings(options)
+    sensor_settings = RestSettings(**{name: getattr(options, name) for name in SENSOR_OPTIONS})
     robot_source = find_robot(recording, path, options.robot)
     check_output("--output", options.output, robot_source.name)
     if options.report is not None:
@@ -185,8 +187,8 @@ def run(options: Options) -> CommandResult:
         _print_suggested(_suggested(options, settings, robot_source.robot))
         raise
     sensors = calibrate_sensors(
-        recording.slice(options.start, options.stop), result.robot, level=result.level,
-        settings=_rest_settings(options),
+        recording.slice(options.start, options.stop), result.level, settings=sensor_settings,
+        rotation_noise=settings.rotation_noise,
     )  # fmt: skip
     suggested = _suggested(options, settings, result)
     print_sentences(
@@ -219,10 +221,12 @@ def _check_options(options: Options, allowed: Sequence[str], where: str) -> None
 
 def _check_sensor_options(options: Options, recording: Recording) -> None:
     """Refuse the noise of a sensor that a recording does not have."""
-    for option, channels in SENSOR_OPTIONS.items():
+    for option, (channels, label) in SENSOR_OPTIONS.items():
         if all(getattr(recording, channel) is None for channel in channels):
-            others = [name for name in vars(options) if name != option]
-            _check_options(options, others, "not with a recording without such a sensor")
+            value = getattr(options, option)
+            if value != getattr(RestSettings, option):
+                allowed = f"only with {label}, and the recording has none"
+                raise InvalidField(f"--{option.replace('_', '-')}", value, allowed)
 
 
 def _rest_settings(options: Options) -> RestSettings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from calibration.lengths.unknowns import LengthUnknowns
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import from_rotation_vector
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,11 +80,26 @@ class LengthCalibration(CalibrationResult):
     seconds: float
 
     @property
-    def level(self) -> Array:
-        """Rotation from W, which may be the frame of tilted poses, to one whose z is up, (3, 3)."""
+    def level(self) -> Robot:
+        """The calibrated robot in a W whose z is up: that of the file may be of tilted poses.
+
+        Its covariances, which are of the other W, are dropped.
+        """
         if self.anchored or self.gravity is None:
-            return np.eye(3)
-        return from_rotation_vector(np.append(self.gravity.tilt, 0.0))
+            return self.robot
+        turn = from_rotation_vector(np.append(self.gravity.tilt, 0.0))
+        before = np.eye(3) if self.robot.pose_rotation is None else self.robot.pose_rotation
+        return replace(
+            self.robot,
+            exit_points=self.robot.exit_points @ turn.T,
+            swivel_axis=self.robot.swivel_axis @ turn.T,
+            home_position=turn @ self.robot.home_position,
+            home_rotation=turn @ self.robot.home_rotation,
+            pose_rotation=turn @ before,
+            exit_covariance=None,
+            calibrated=None,
+            calibration_covariance=None,
+        )
 
     @property
     def residual_rms(self) -> float:

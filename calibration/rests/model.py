@@ -147,10 +147,8 @@ class RestModel:
     @cached_property
     def _tension_noise(self) -> Array:
         """Return the noise of the load cells [N], shape (K, n)."""
-        robot = self.unknowns.robot
-        floor = TENSION_FLOOR_SHARE * robot.weight / robot.n
         tension = np.asarray(self.readings.tension)
-        return np.asarray(self._settings.tension_noise * np.maximum(np.abs(tension), floor))
+        return tension_noise(self.unknowns.robot, tension, self._settings)
 
     def _rotation_residual(self, rotation: Array, heading: Array, mounting: Array) -> Array:
         """Return the residuals of AHRS, (K, 3), or inclinometer, (K, 2)."""
@@ -236,6 +234,12 @@ class RestModel:
             for robot, moved, found in self._sides(place, value, length, rest)
         )
         return np.asarray((after - before) / (2.0 * self._parameter_step(place)))
+
+
+def tension_noise(robot: Robot, reading: Array, settings: RestSettings) -> Array:
+    """Return the noise of readings of load cells [N], shape (K, n)."""
+    floor = TENSION_FLOOR_SHARE * robot.weight / robot.n
+    return np.asarray(settings.tension_noise * np.maximum(np.abs(reading), floor))
 
 
 def _moves(low: statics.Equilibrium, high: statics.Equilibrium) -> Array:

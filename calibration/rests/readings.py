@@ -29,6 +29,8 @@ class RestReadings:
         attitude: Rotation from the AHRS to its level frame, shape (K, 3, 3).
         inclination: Roll and pitch of an inclinometer [rad], shape (K, 2).
         swivel_angle: Of pulleys about their axes [rad], shape (K, n).
+        position: Measured, of the platform origin [m], shape (K, 3).
+        rotation: Measured, from P, shape (K, 3, 3).
         single: True if each sample counts as a rest, as samples are far apart.
         skipped: Rests in which a sensor has no sample, by that sensor.
     """
@@ -39,6 +41,8 @@ class RestReadings:
     attitude: Array | None = None
     inclination: Array | None = None
     swivel_angle: Array | None = None
+    position: Array | None = None
+    rotation: Array | None = None
     single: bool = False
     skipped: dict[str, int]
 
@@ -46,13 +50,22 @@ class RestReadings:
         """Return some of the rests."""
         channels = {
             name: value[which]
-            for name in ("time", "length", "tension", "attitude", "inclination", "swivel_angle")
+            for name in (
+                "time",
+                "length",
+                "tension",
+                "attitude",
+                "inclination",
+                "swivel_angle",
+                "position",
+                "rotation",
+            )
             if (value := getattr(self, name)) is not None
         }
         return replace(self, **channels)
 
 
-def rest_readings(recording: Recording) -> RestReadings:
+def rest_readings(recording: Recording, *, poses: bool = False) -> RestReadings:
     """Return the readings at the rests of a recording.
 
     Where samples of length are at least `REST_DURATION_MIN_S` apart, as in a table with one row for
@@ -60,6 +73,7 @@ def rest_readings(recording: Recording) -> RestReadings:
 
     Args:
         recording: With lengths; every other sensor counts if it has samples in the rests.
+        poses: True to count measured poses among the sensors.
 
     Returns:
         K rests, 0 or more.
@@ -78,6 +92,11 @@ def rest_readings(recording: Recording) -> RestReadings:
         "inclination": (recording.inclination, _mean_angle),
         "swivel_angle": (recording.swivel_angle, _mean_angle),
     }
+    if poses and recording.poses is not None:
+        measured = recording.poses
+        means["position"] = Stamped(time=measured.time, value=measured.position), _mean
+        turned = Stamped(time=measured.time, value=measured.quaternion)
+        means["rotation"] = turned, _mean_rotation
     kept, skipped = np.ones(len(rows), dtype=np.bool_), dict[str, int]()
     for name, (channel, _) in means.items():
         if channel is not None:

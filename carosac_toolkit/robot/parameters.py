@@ -62,7 +62,9 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
 
 
 def fields_with(robot: Robot, names: Sequence[str], values: Array) -> dict[str, Any]:
-    """Return the fields that are others where some parameters have other values.
+    """Return the changed fields of a robot with other values of some parameters.
+
+    Those of its calibration become None, as with `with_values`.
 
     Args:
         robot: The robot.

@@ -47,9 +47,9 @@ class Rubbing:
     """What friction at both ends of a cable does to the platform."""
 
     force: wp.vec3d  # at the anchor point [N]
-    stiffness: wp.mat33d  # -d force / d anchor point [N/m]
+    stiffness: wp.mat33d  # -d force / d anchor point, about [N/m]
     moment: wp.vec3d  # beside that of the force [N m]
-    turning: wp.mat33d  # -d moment / d rotation vector [N m]
+    turning: wp.mat33d  # -d moment / d rotation vector, about [N m]
     bristles: Bristles
 
 
@@ -157,6 +157,9 @@ def turn_since(start: BodyMotion, trial: BodyMotion) -> wp.vec3d:
 def rub(cable: Cable, bristles: Bristles, before: wp.vec3d, anchor: wp.vec3d, turn: wp.vec3d,
         size: wp.float64) -> Rubbing:  # fmt: skip
     """Return the dry friction of a cable at the end of a time step.
+
+    The derivatives are for Newton steps: those of anchor friction leave out that a slip in one
+    direction pulls at right angles to it, and that turns and motions of the anchor go together.
 
     Args:
         cable: The cable; see `rubs`.

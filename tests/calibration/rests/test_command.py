@@ -57,9 +57,7 @@ def test_options_of_poses_are_refused_without_them_and_the_other_way_round(rests
         capsys.readouterr().err
     )
     assert main(["calibrate", "lengths", "synthetic", "--swivel-noise", "0.01"]) == 2
-    assert "--swivel-noise: got 0.01; allowed: not with a recording without such a sensor" in (
-        capsys.readouterr().err
-    )
+    assert "--swivel-noise: got 0.01; allowed: only with swivel angles" in (capsys.readouterr().err)
     assert main(["calibrate", "lengths", rests, "--tension-noise", "0"]) == 2
     assert "--tension-noise: got 0.0; allowed: --tension-noise > 0" in capsys.readouterr().err
 
