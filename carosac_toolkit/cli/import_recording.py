@@ -13,6 +13,10 @@ How far they are apart is estimated from what the lengths predict of each channe
 robot. A recording file is aligned in the same way:
 
 carosac import recording run.csv --align --robot scampi --output aligned.parquet
+
+An offset that is known otherwise is removed by --shift, of a channel that does not tell it too:
+
+carosac import recording run.csv --shift attitude 2.0 --output aligned.parquet
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ from carosac_toolkit.validation.clocks import (
     align_clocks,
     channel_clocks,
     not_aligned,
+    remove_offsets,
 )
 from carosac_toolkit.validation.time_shift import TimeShift
 
@@ -124,6 +129,21 @@ class Options(CommonOptions):
         ...,
     ] = ()
     """Channels to align; by default all that there are, but angles that do not tell their clock."""
+    shift: Annotated[
+        tuple[
+            tuple[
+                Literal[
+                    "poses", "length_rate", "tension", "imu", "swivel_angle", "attitude",
+                    "inclination",
+                ],
+                float,
+            ],
+            ...,
+        ],
+        tyro.conf.arg(metavar="CHANNEL S"),
+    ] = ()  # fmt: skip
+    """Known offsets of clocks, by which stamps of channels are late against those of the lengths
+    [s]; they are removed, and not estimated."""
 
 
 def run(options: Options) -> CommandResult:
@@ -142,7 +162,7 @@ def run(options: Options) -> CommandResult:
             return _list(bag)
         imported = read_bag(bag, _topics(options))
     _say(imported)
-    recording, clocks = imported.recording, dict[str, Any]()
+    recording, clocks = _shifted(imported.recording, options), dict[str, Any]()
     if options.align:
         recording, clocks = _aligned(recording, Path(options.bag[0]), options)
     _save(recording, options.output)
@@ -156,8 +176,8 @@ def _is_recording(paths: tuple[str, ...]) -> bool:
 
 def _align_file(options: Options) -> CommandResult:
     """Align the clocks of a recording file."""
-    if not options.align:
-        allowed = "a bag, or --align with a recording file"
+    if not options.align and not options.shift:
+        allowed = "a bag, or --align or --shift with a recording file"
         raise InvalidField("BAG", repr(options.bag[0]), allowed)
     for field in (field for field in fields(options) if field.name in _OF_BAGS):
         value = getattr(options, field.name)
@@ -166,12 +186,33 @@ def _align_file(options: Options) -> CommandResult:
             allowed = "nothing with a recording file: its channels are known"
             raise InvalidField(f"--{field.name.replace('_', '-')}", said, allowed)
     path = Path(options.bag[0])
-    recording, clocks = _aligned(load_recording(path), path, options)
+    recording, clocks = _shifted(load_recording(path), options), dict[str, Any]()
+    if options.align:
+        recording, clocks = _aligned(recording, path, options)
     if recording.metadata.robot is None:
         metadata = replace(recording.metadata, robot=options.robot)
         recording = replace(recording, metadata=metadata)
     _save(recording, options.output)
     return CommandResult({**clocks, "metadata": recording.metadata.to_dict()})
+
+
+def _shifted(recording: Recording, options: Options) -> Recording:
+    """Remove the offsets that are stated, and print them."""
+    offsets: dict[str, float] = {name: seconds for name, seconds in options.shift}
+    if len(offsets) < len(options.shift):
+        raise InvalidField("--shift", " ".join(name for name, _ in options.shift), "a channel once")
+    both = sorted(offsets.keys() & set(options.align_channels))
+    if both:
+        raise InvalidField("--shift", both[0], "a channel that --align-channels does not name")
+    if not offsets:
+        return recording
+    try:
+        shifted = remove_offsets(recording, offsets)
+    except InvalidField as error:
+        raise InvalidField("--shift", error.value, error.allowed) from error
+    for name, seconds in offsets.items():
+        print(f"{name}: {seconds:+g} s, as stated, removed from its stamps")
+    return shifted
 
 
 def _aligned(
@@ -180,7 +221,9 @@ def _aligned(
     """Align clocks and print by how much; return the numbers too."""
     robot = find_robot(recording, path, options.robot).robot
     recording.require_cables(robot)
-    channels = tuple(dict.fromkeys(options.align_channels)) or ALIGNED_CHANNELS
+    stated = dict(options.shift)
+    usual = tuple(name for name in ALIGNED_CHANNELS if name not in stated)
+    channels = tuple(dict.fromkeys(options.align_channels)) or usual
     for name in options.align_channels:
         if name not in recording.channel_times:
             allowed = f"of {[c for c in ALIGNED_CHANNELS if c in recording.channel_times]}"
@@ -209,7 +252,7 @@ def _aligned(
     ]  # fmt: skip
     print(format_table(CLOCK_HEADER, rows))
     print("\nOffset: of the stamps against the clock of the lengths; it is removed from them.")
-    left = not_aligned(recording, clocks)
+    left = [name for name in not_aligned(recording, clocks) if name not in stated]
     if left:
         words = [f"{name} ({untold[name]})" if name in untold else name for name in left]
         print(f"Not aligned: {', '.join(words)}.")

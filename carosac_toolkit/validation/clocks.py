@@ -9,7 +9,7 @@ takes their place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -166,23 +166,53 @@ def align_clocks(recording: Recording, clocks: Sequence[ChannelClock]) -> Record
     Raises:
         CarosacError: The offset of a channel is unknown.
     """
-    changes: dict[str, Any] = {}
-    notes = []
+    offsets: dict[tuple[str, ...], tuple[float, str]] = {}
     for clock in clocks:
         if clock.shift is None:
             raise CarosacError(
                 f"the clock of channel {clock.channel} cannot be aligned: {clock.reason}"
             )
         names = _of_one_clock(recording, clock.channel)
-        for name in names:
-            channel = getattr(recording, name)
-            changes[name] = replace(channel, time=channel.time - clock.shift.seconds)
-        notes.append(
-            f"{' and '.join(names)} {clock.shift.seconds:+.6f} s (sigma {clock.shift.sigma:.6f} s)"
-        )
-    if not notes:
+        offsets[names] = clock.shift.seconds, f"sigma {clock.shift.sigma:.6f} s"
+    if not offsets:
         allowed = f"one with a channel of {list(ALIGNED_CHANNELS)}"
         raise InvalidField("recording", "lengths alone", allowed)
+    return _without_offsets(recording, offsets)
+
+
+def remove_offsets(recording: Recording, offsets: Mapping[str, float]) -> Recording:
+    """Shift the stamps of channels by offsets that are known; the metadata say by how much.
+
+    Args:
+        recording: As it was recorded.
+        offsets: By which stamps of channels are late against the clock of the lengths [s].
+
+    Raises:
+        InvalidField: A channel that the recording lacks or that has no stamps of its own, or an
+            offset that is not finite.
+    """
+    stamped = [name for name in ALIGNED_CHANNELS if name in recording.channel_times]
+    for name, seconds in offsets.items():
+        if name not in stamped:
+            raise InvalidField("offsets", name, f"of {stamped}")
+        if not np.isfinite(seconds):
+            raise InvalidField("offsets", f"{name} {seconds} s", "a finite time")
+    return _without_offsets(
+        recording, {(name,): (seconds, "stated") for name, seconds in offsets.items()}
+    )
+
+
+def _without_offsets(
+    recording: Recording, offsets: Mapping[tuple[str, ...], tuple[float, str]]
+) -> Recording:
+    """Remove offsets [s], each with a remark, from the stamps of the channels of one clock."""
+    changes: dict[str, Any] = {}
+    notes = []
+    for names, (seconds, remark) in offsets.items():
+        for name in names:
+            channel = getattr(recording, name)
+            changes[name] = replace(channel, time=channel.time - seconds)
+        notes.append(f"{' and '.join(names)} {seconds:+.6f} s ({remark})")
     before = recording.metadata.clock_offsets
     text = f"{'; '.join(notes)}: removed from the stamps"
     metadata = replace(recording.metadata, clock_offsets=f"{before}; {text}" if before else text)

@@ -92,4 +92,38 @@ def test_what_cannot_be_aligned_is_one_message(file, capsys, words, said):
 
 def test_a_recording_file_is_read_for_its_clocks_only(file, capsys):
     assert main(["import", "recording", str(file)]) == 2
-    assert "a bag, or --align with a recording file" in capsys.readouterr().err
+    assert "a bag, or --align or --shift with a recording file" in capsys.readouterr().err
+
+
+def test_a_stated_offset_is_removed_without_a_robot_and_not_estimated(file, tmp_path, capsys):
+    output = tmp_path / "shifted.csv"
+    words = ["import", "recording", str(file), "--shift", "poses", "2.0", "--output", str(output)]
+    assert main(words) == 0
+    assert "poses: +2 s, as stated" in capsys.readouterr().out
+    shifted = load_recording(output)
+    assert shifted.poses.time == pytest.approx(moving_run().poses.time, abs=1e-9)
+    assert shifted.metadata.clock_offsets == "poses +2.000000 s (stated): removed from the stamps"
+    both = tmp_path / "both.csv"
+    assert align(file, "--shift", "poses", "2.0", "--robot", "carosac", "--output", both) == 0
+    assert "poses" not in capsys.readouterr().out.split("channel", 1)[1]
+    assert load_recording(both).metadata.clock_offsets.count("poses") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("attitude", "1.0"), "--shift: got attitude; allowed: of ['poses', 'tension', 'imu']"),
+        (("poses", "nan"), "--shift: got poses nan s; allowed: a finite time"),
+        (("poses", "1.0", "poses", "2.0"), "--shift: got poses poses; allowed: a channel once"),
+        (
+            ("poses", "1.0", "--align", "--align-channels", "poses"),
+            "--shift: got poses; allowed: a channel that --align-channels does not name",
+        ),
+    ],
+)
+def test_what_cannot_be_shifted_is_one_message(file, tmp_path, capsys, words, said):
+    output = tmp_path / "shifted.csv"
+    words = ["import", "recording", str(file), "--output", str(output), "--shift", *words]
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+    assert not output.exists()
