@@ -204,9 +204,10 @@ def run(options: Options) -> CommandResult:
         "robot": robot_source.name,
         **result.data(),
         "sensors": sensor_data(sensors.errors),
+        "warnings": [*result.warnings, *sensors.warnings],
         "suggested_poses": suggested.data() if suggested is not None else [],
     }
-    return CommandResult(data, status=1 if result.warnings else 0)
+    return CommandResult(data, status=1 if data["warnings"] else 0)
 
 
 def _check_options(options: Options, allowed: Sequence[str], where: str) -> None:
@@ -258,7 +259,7 @@ def _print(
 ) -> None:
     """Print warnings, tables and sentences within the width of the terminal."""
     width = max(80, shutil.get_terminal_size().columns)
-    print_sentences(result.warnings, "WARNING: ")
+    print_sentences([*result.warnings, *sensors.warnings], "WARNING: ")
     print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
     print_sentences([*result.sentences(), *sensors.sentences])
     weak = [*result.observability.sentences(), *result.notes]

@@ -51,11 +51,13 @@ class SensorCalibration:
 
     Attributes:
         errors: Of those that could be calibrated.
-        sentences: What else should be known, in words.
+        sentences: Of each sensor, at how many rests, or why it was not calibrated.
+        warnings: Sensors whose readings do not fit lengths and poses.
     """
 
     errors: tuple[SensorError, ...] = ()
     sentences: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +114,7 @@ def calibrate_sensors(
     """
     errors: list[SensorError] = []
     sentences: list[str] = []
+    warnings: list[str] = []
     for name in SENSORS:
         if getattr(recording, name) is None:
             continue
@@ -125,6 +128,10 @@ def calibrate_sensors(
         fit, blunders = (rests, 0) if isinstance(rests, str) else _without_blunders(name, rests)
         if isinstance(fit, str):
             sentences.append(f"{label}: not calibrated, as {fit}")
+            continue
+        doubt = _doubt(fit)
+        if doubt:
+            warnings.append(f"{label}: not calibrated, as {doubt}: {_QUESTIONS[name]}")
             continue
         sigma = max(1.0, fit.misfit) * fit.sigma
         errors += [
@@ -141,7 +148,9 @@ def calibrate_sensors(
         )
         if fit.names[: len(_MOUNTING)] == _MOUNTING:
             sentences.append(_mounted(fit.value[:3], sigma[:3]))
-    return SensorCalibration(errors=tuple(errors), sentences=tuple(sentences))
+    return SensorCalibration(
+        errors=tuple(errors), sentences=tuple(sentences), warnings=tuple(warnings)
+    )
 
 
 def _rests(
@@ -152,7 +161,8 @@ def _rests(
     if len(readings.time) < RESTS_MIN:
         return (
             f"the recording has {counted(len(readings.time), 'rest')} with its readings and a "
-            f"measured pose, and {RESTS_MIN} are needed"
+            f"measured pose, and {RESTS_MIN} are needed: do all clocks agree "
+            "('carosac import recording --align')?"
         )
     position, rotation = np.asarray(readings.position), np.asarray(readings.rotation)
     near = Pose(position=position, rotation=rotation)
@@ -168,7 +178,7 @@ def _rests(
 
 
 def _without_blunders(name: str, rests: _Rests) -> tuple[_Fit | str, int]:
-    """Fit a sensor, leaving out the worst rests; why it is not to be believed, and how many."""
+    """Fit a sensor, leaving out the worst rests, and say how many; or why it cannot be fitted."""
     most = int(BLUNDERS_SHARE_MAX * len(rests.rotation))
     out = 0
     while True:
@@ -178,21 +188,24 @@ def _without_blunders(name: str, rests: _Rests) -> tuple[_Fit | str, int]:
         size = np.abs(fit.residual).max(axis=1)
         usual = max(1.0, SPREAD_OF_MEDIAN * float(np.median(np.abs(fit.residual))))
         if size.max() <= BLUNDER_SIGMAS * usual or out == most or len(size) == RESTS_MIN:
-            break
+            return fit, out
         rests, out = rests.rows(np.delete(np.arange(len(size)), int(size.argmax()))), out + 1
+
+
+def _doubt(fit: _Fit) -> str:
+    """Say why errors of a sensor are not to be believed; empty where they are."""
     if fit.misfit > MISFIT_USELESS:
         return (
-            f"readings miss what lengths and poses let expect by {fit.misfit:.1f} times their "
-            "noise: are the units, the order of the cables and the signs right?"
-        ), out
+            f"readings miss what lengths and poses let expect by {fit.misfit:.1f} times their noise"
+        )
     off = np.abs(fit.value) / fit.prior_sigma
-    if off.max() > PRIOR_SIGMAS_MAX:
-        worst = int(off.argmax())
+    worst = int(off.argmax())
+    if off[worst] > PRIOR_SIGMAS_MAX:
         return (
             f"{fit.names[worst]} would be {fit.value[worst]:+.3g}, {off[worst]:.0f} times what is "
-            "taken for possible: are the units, the order of the cables and the signs right?"
-        ), out
-    return fit, out
+            "taken for possible"
+        )
+    return ""
 
 
 def _load_cells(rests: _Rests) -> _Fit | str:
@@ -310,6 +323,12 @@ def _mounted(value: Array, sigma: Array) -> str:
     return f"its mounting, for carosac smooth: --mounting {stated}"
 
 
+_QUESTIONS = {
+    "tension": "are the unit, the order of the cables and the sign right?",
+    "attitude": "is it the rotation from the AHRS to a level frame, and of this platform?",
+    "inclination": "are these roll and pitch, in this order and in radians?",
+    "swivel_angle": "are the unit, the order of the cables and the sense of rotation right?",
+}
 _MOUNTING = ("mounting.x", "mounting.y", "mounting.z")
 _FITS: dict[str, Callable[[_Rests], _Fit | str]] = {
     "tension": _load_cells, "attitude": _attitude, "inclination": _inclination,

@@ -22,7 +22,7 @@ from tyro.constructors import (
 )
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
-from carosac_toolkit.cli.option_source import read_options
+from carosac_toolkit.cli.option_source import MANY_WORDS, read_options
 from carosac_toolkit.robot.bundled_names import list_robots
 
 _TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
@@ -54,6 +54,7 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
         CarosacError: A word that the command does not understand, or one that is missing.
         SystemExit: Help was asked for, and is printed.
     """
+    _check_values_once(module.Options, words)
     registry = ConstructorRegistry()
     options = module.Options
     registry.primitive_rule(_number_or_nothing)
@@ -66,6 +67,16 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
             description=module.__doc__,
             registry=registry,
         )
+
+
+def _check_values_once(options: type, words: Sequence[str]) -> None:
+    """Refuse an option of many values that comes twice: the first ones would be lost."""
+    flags = [word.partition("=")[0] for word in words]
+    for option in read_options(options.__module__, options.__name__):
+        for flag in option.flags:
+            if option.words == MANY_WORDS and flags.count(flag) > 1:
+                allowed = f"one {flag} with all its values behind it"
+                raise InvalidField(flag, f"{flags.count(flag)} times", allowed)
 
 
 def _fields_in_words(options: type) -> StructConstructorSpec:

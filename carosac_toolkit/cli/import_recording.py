@@ -129,21 +129,10 @@ class Options(CommonOptions):
         ...,
     ] = ()
     """Channels to align; by default all that there are, but angles that do not tell their clock."""
-    shift: Annotated[
-        tuple[
-            tuple[
-                Literal[
-                    "poses", "length_rate", "tension", "imu", "swivel_angle", "attitude",
-                    "inclination",
-                ],
-                float,
-            ],
-            ...,
-        ],
-        tyro.conf.arg(metavar="CHANNEL S"),
-    ] = ()  # fmt: skip
+    shift: Annotated[tuple[tuple[str, float], ...], tyro.conf.arg(metavar="CHANNEL S ...")] = ()
     """Known offsets of clocks, by which stamps of channels are late against those of the lengths
-    [s]; they are removed, and not estimated."""
+    [s]; they are removed, and not estimated: `--shift attitude 2.0 poses -0.5`. The channels are
+    those of --align-channels."""
 
 
 def run(options: Options) -> CommandResult:
@@ -198,7 +187,7 @@ def _align_file(options: Options) -> CommandResult:
 
 def _shifted(recording: Recording, options: Options) -> Recording:
     """Remove the offsets that are stated, and print them."""
-    offsets: dict[str, float] = {name: seconds for name, seconds in options.shift}
+    offsets = dict(options.shift)
     if len(offsets) < len(options.shift):
         raise InvalidField("--shift", " ".join(name for name, _ in options.shift), "a channel once")
     both = sorted(offsets.keys() & set(options.align_channels))
@@ -206,6 +195,8 @@ def _shifted(recording: Recording, options: Options) -> Recording:
         raise InvalidField("--shift", both[0], "a channel that --align-channels does not name")
     if not offsets:
         return recording
+    if options.output is None:
+        raise InvalidField("--output", "nothing", "a file, in which --shift moves the stamps")
     try:
         shifted = remove_offsets(recording, offsets)
     except InvalidField as error:

@@ -114,6 +114,8 @@ def test_a_stated_offset_is_removed_without_a_robot_and_not_estimated(file, tmp_
     [
         (("attitude", "1.0"), "--shift: got attitude; allowed: of ['poses', 'tension', 'imu']"),
         (("poses", "nan"), "--shift: got poses nan s; allowed: a finite time"),
+        (("ahrs", "1.0"), "--shift: got ahrs; allowed: of ['poses', 'tension', 'imu']"),
+        (("poses", "1.0", "--shift", "imu", "2.0"), "--shift: got 2 times; allowed: one --shift"),
         (("poses", "1.0", "poses", "2.0"), "--shift: got poses poses; allowed: a channel once"),
         (
             ("poses", "1.0", "--align", "--align-channels", "poses"),

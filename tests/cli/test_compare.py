@@ -217,9 +217,16 @@ def test_settings_and_variants_of_one_plug_in(capsys):
     assert "--set controller.kinematic_solver@slow.delay=0" in report
 
 
+def test_an_option_of_many_values_comes_once(capsys):
+    assert main(["compare", *ALONE, "--estimators", "straight_line"]) == 2
+    assert "--estimators: got 2 times; allowed: one --estimators with all" in (
+        capsys.readouterr().err
+    )
+
+
 def test_estimators_are_compared(capsys):
-    words = [*ALONE, "--estimators", "kinematic_solver", "straight_line", "--controllers",
-             "kinematic_solver", "--output", "o", "--json", "x.json"]  # fmt: skip
+    words = [*FAST, "straight_line", "--workers", "0", "--controllers", "kinematic_solver",
+             "--output", "o", "--json", "x.json"]  # fmt: skip
     assert main(["compare", *words]) == 0
     data = json.loads(Path("x.json").read_text())
     assert data["conclusions"][0].startswith("The estimation error of straight_line is")

@@ -160,7 +160,7 @@ def test_swivel_encoders_in_another_order_are_not_believed() -> None:
     swapped = Stamped(time=run.time, value=run.swivel_angle.value[:, [1, 0, 2, 3]])
     found = calibrate_sensors(replace(run, swivel_angle=swapped), plant)
     assert not any(each.name.startswith("swivel") for each in found.errors)
-    assert any("the order of the cables" in line for line in found.sentences)
+    assert any("the order of the cables" in line for line in found.warnings)
 
 
 def test_sensors_without_rests_are_left_alone_and_it_is_said() -> None:
@@ -205,7 +205,7 @@ def test_load_cells_in_other_units_or_of_the_other_sign_are_not_believed() -> No
         wrong = Stamped(time=run.time, value=factor * run.tension.value)
         found = calibrate_sensors(replace(run, tension=wrong), plant)
         assert not any(each.name.startswith("tension") for each in found.errors)
-        assert any("times what is taken for possible" in line for line in found.sentences)
+        assert any("times what is taken for possible" in line for line in found.warnings)
 
 
 def test_one_blunder_is_left_out_and_counted() -> None:
@@ -283,3 +283,18 @@ def test_command_holds_offsets_and_refuses_wrong_noise_before_the_fit(
     assert main(["calibrate", "lengths", str(path), "--tension-noise", "0"]) == 2
     printed = capsys.readouterr()
     assert "tension" in printed.err and "> 0" in printed.err and printed.out == ""
+
+
+def test_command_ends_with_status_1_where_a_sensor_does_not_fit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, _ = measured(scene(0, ct.load_robot("scampi"), swivel=False))
+    assert run.tension is not None
+    path, numbers = tmp_path / "kg.csv", tmp_path / "numbers.json"
+    in_kg = Stamped(time=run.time, value=run.tension.value / 9.81)
+    ct.save_recording(replace(run, tension=in_kg), path)
+    assert main(["calibrate", "lengths", str(path), "--json", str(numbers)]) == 1
+    assert "WARNING: load cells: not calibrated" in capsys.readouterr().out
+    data = json.loads(numbers.read_text())
+    assert any("load cells" in line for line in data["warnings"])
+    assert set(data["sensors"]) == {"mounting.x", "mounting.y", "mounting.z", "heading"}
