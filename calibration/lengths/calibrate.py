@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -21,6 +22,7 @@ from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RA
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M, LengthUnknowns, find_unknowns
 from calibration.observability import Unobservable, judge
 from calibration.prior import Prior
+from calibration.rest_readings import rests_alone
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.extras import require
@@ -72,11 +74,12 @@ def calibrate_lengths(
     unknowns = find_unknowns(robot, known, relative=relative)
     if not unknowns.prior.names:
         raise InvalidField("settings", "priors of 0 for everything", "something to calibrate")
-    chosen = start + _spread(end - start)
+    rests = None if recording.poses is None else rests_alone(recording.slice(start, end))
+    used, chosen = (recording, start + _spread(end - start)) if rests is None else rests
+    rows = slice(None) if rests else chosen
     problem = LengthProblem(
-        unknowns, known, PosePath(recording), recording.time[chosen],
-        recording.unstrained_length[chosen],
-    )  # fmt: skip
+        unknowns, known, PosePath(used), used.time[rows], used.unstrained_length[rows]
+    )
     check_clock_and_frames(recording, robot)
     problem.freeze(unknowns.prior.mean)
     _check_samples(problem, robot)
@@ -88,7 +91,11 @@ def calibrate_lengths(
     state = fit(problem)
     seconds = perf_counter() - began
     _check_left(state, robot)
-    return _result(problem, state, chosen, seconds, relative)
+    result = _result(problem, state, chosen if rests is None else start + chosen, seconds, relative)
+    if rests is None:
+        return result
+    note = "nothing moves between the rests of the recording: each of them counts as one sample"
+    return replace(result, notes=(note, *result.notes))
 
 
 def _spread(count: int) -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from calibration.estimate import ParameterEstimate
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M
 from calibration.observability import Unobservable, judge
+from calibration.rest_readings import rest_readings
 from calibration.rests.blunders import (
     AS_GOOD_COST,
     MISFIT_USELESS,
@@ -23,7 +24,6 @@ from calibration.rests.blunders import (
 from calibration.rests.checks import check_observable, no_rests
 from calibration.rests.fit import RestFit, first_lengths, fit
 from calibration.rests.model import RestModel
-from calibration.rests.readings import rest_readings
 from calibration.rests.result import RestCalibration
 from calibration.rests.settings import RestSettings
 from calibration.rests.start import RestStart, find_starts

@@ -6,9 +6,9 @@ import numpy as np
 
 from calibration.normal_equations import solve
 from calibration.observability import Unobservable
+from calibration.rest_readings import RestReadings
 from calibration.rests.fit import first_lengths
 from calibration.rests.model import RestModel
-from calibration.rests.readings import RestReadings
 from calibration.rests.start import RestStart
 from calibration.sensor_errors import SENSOR_WORDS
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration.linear_samples import LinearSamples
-from calibration.rests.readings import RestReadings
+from calibration.rest_readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.rests.unknowns import RestUnknowns
 from carosac_toolkit.base.arrays import Array

@@ -17,9 +17,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calibration.lengths.settings import LengthSettings
+from calibration.rest_readings import RestReadings, rest_readings
 from calibration.rests.blunders import BLUNDER_SIGMAS, MISFIT_USELESS
 from calibration.rests.model import tension_noise
-from calibration.rests.readings import RestReadings, rest_readings
 from calibration.rests.settings import RestSettings
 from calibration.sensor_errors import SENSOR_UNITS, SENSOR_WORDS, SensorError
 from carosac_toolkit.base.arrays import Array

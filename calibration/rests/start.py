@@ -17,7 +17,7 @@ from calibration.lengths.model import correction, predict, tensions
 from calibration.lengths.pose_path import PosesAt
 from calibration.linear_samples import LinearSamples
 from calibration.normal_equations import solve
-from calibration.rests.readings import RestReadings
+from calibration.rest_readings import RestReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.cable.swivel import swivel_angle

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calibration.rests.readings import RestReadings
+from calibration.rest_readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.rests.unknowns import find_unknowns
 from carosac_toolkit.base.arrays import Array

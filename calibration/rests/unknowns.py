@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M
 from calibration.prior import Prior
-from calibration.rests.readings import RestReadings
+from calibration.rest_readings import RestReadings
 from calibration.rests.settings import RestSettings
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration import RestSettings
+from calibration.rest_readings import RestReadings
 from calibration.rests.model import RestModel
-from calibration.rests.readings import RestReadings
 from calibration.rests.unknowns import find_unknowns
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import roll_and_pitch

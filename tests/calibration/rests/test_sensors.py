@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from calibration import LengthSettings, RestScene, calibrate_lengths
+from calibration.rest_readings import rests_alone
 from calibration.rests.sensors import SensorCalibration, calibrate_sensors
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import from_matrix, roll_and_pitch, to_matrix, wrapped_angle
@@ -252,6 +253,42 @@ def test_means_of_rests_are_compared_with_mean_poses() -> None:
     )  # fmt: skip
     found = calibrate_sensors(swaying, plant)
     assert normalised(found, made) < 2.0
+
+
+def test_lengths_are_calibrated_at_rests_without_an_invented_delay() -> None:
+    """Noise of a rest lasts as long as it does, and poses that rest tell of no clock."""
+    squares = []
+    for seed in range(3):
+        made = scene(seed)
+        run, plant = measured(made)
+        assert run.poses is not None
+        noise = np.random.default_rng(seed).normal(0.0, 1e-3, run.poses.position.shape)
+        poses = replace(run.poses, position=run.poses.position + noise)
+        unsurveyed = replace(plant, exit_covariance=None, length_offset=None, length_scale=None)
+        result = calibrate_lengths(replace(run, poses=poses), unsurveyed)
+        assert len(result.sample) == 27
+        assert (result.sample // 20 == np.arange(27)).all()
+        assert result.robot.length_delay == pytest.approx(0.0, abs=1e-3)
+        assert result.estimate.sigma[result.estimate.index("length_delay")] > 0.09
+        off = result.robot.exit_points - plant.exit_points
+        assert result.robot.exit_covariance is not None
+        sigma = np.sqrt(np.einsum("nii->ni", result.robot.exit_covariance))
+        squares.append(np.mean((off / sigma) ** 2))
+    assert np.mean(squares) < 1.5
+
+
+def test_a_recording_that_moves_between_its_rests_is_used_as_it_is() -> None:
+    run, plant = measured(scene(0))
+    assert run.poses is not None
+    assert rests_alone(run) is not None
+    time = np.arange(len(run.time)) * 0.1  # winches jump from rest to rest
+    moving = replace(
+        run, time=time, poses=replace(run.poses, time=time), tension=None, attitude=None,
+        swivel_angle=None,
+    )  # fmt: skip
+    assert rests_alone(moving) is None
+    result = calibrate_lengths(moving, plant)
+    assert len(result.sample) > 400
 
 
 def test_command_prints_the_mounting_for_smooth_and_writes_all_errors(

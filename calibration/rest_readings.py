@@ -12,8 +12,12 @@ from scipy.spatial.transform import Rotation
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, find_phases
+
+RESTS_ALONE_MIN = 4  # of which a recording consists
+DRIFT_MAX_M = 2e-3  # [m] from half to half of a rest: a noise of readings, no motion
 
 Mean = Callable[[Array], Array]
 
@@ -116,6 +120,41 @@ def rest_readings(recording: Recording, *, poses: bool = False) -> RestReadings:
         skipped={name: count for name, count in skipped.items() if count},
         **values,
     )
+
+
+def rests_alone(recording: Recording) -> tuple[Recording, NDArray[np.int64]] | None:
+    """Return a recording of means over its rests, and the samples in the middle of these.
+
+    Noise that lasts as long as a rest does not average out, however many samples are taken of it,
+    and while nothing moves, no sample tells of delays. None where a length moves from sample to
+    sample, or where samples are so far apart that each is a rest.
+
+    Args:
+        recording: With measured poses.
+    """
+    time, length = recording.time, recording.unstrained_length
+    if len(time) < 2 or np.median(np.diff(time)) >= REST_DURATION_MIN_S:
+        return None
+    breaks = np.flatnonzero(np.diff(time) >= REST_DURATION_MIN_S) + 1
+    parts = np.split(np.arange(len(time)), breaks)
+    if len(parts) < RESTS_ALONE_MIN or not all(_rests(time[k], length[k]) for k in parts):
+        return None
+    readings = rest_readings(recording, poses=True)
+    if readings.position is None or readings.rotation is None or not len(readings.time):
+        return None
+    poses = PoseSamples.from_rotation(readings.time, readings.position, readings.rotation)
+    alone = Recording(
+        time=readings.time, unstrained_length=readings.length, poses=poses,
+        metadata=recording.metadata,
+    )  # fmt: skip
+    return alone, np.minimum(np.searchsorted(time, readings.time), len(time) - 1)
+
+
+def _rests(time: Array, length: Array) -> bool:
+    """Return whether no length moves from first to last sample, shapes (K,) and (K, n)."""
+    halves = np.array_split(length, 2)
+    drift = np.abs(halves[1].mean(axis=0) - halves[0].mean(axis=0)).max() if len(time) > 1 else 0.0
+    return bool(find_phases(time, length).resting.all() and drift <= DRIFT_MAX_M)
 
 
 def _within(channel: Stamped, span: Array) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.rests.readings import rest_readings
+from calibration.rest_readings import rest_readings
 from carosac_toolkit.base.rotations import from_rotation_vector
 from carosac_toolkit.loop.values import Stamped
 from carosac_toolkit.recordings.recording import Recording
