@@ -266,6 +266,16 @@ class Robot:
             allowed = f"capstan_friction <= {CAPSTAN_FRICTION_MAX:g}"
             raise InvalidField(f"capstan_friction[{index}]", self.capstan_friction[index], allowed)
 
+        most = HYSTERESIS_SHARE_MAX * self.length_max
+        wide = self.length_hysteresis > most
+        if wide.any():
+            index = int(np.argmax(wide))
+            raise InvalidField(
+                f"length_hysteresis[{index}]", f"{self.length_hysteresis[index]} m",
+                f"length_hysteresis <= {most[index]:.3g} m, {HYSTERESIS_SHARE_MAX:.0%} of "
+                "length_max: is its unit right?",
+            )  # fmt: skip
+
     def _check_order(self) -> None:
         """Refuse limits whose lower end is not below the upper one."""
         for low, high in _ORDERED_FIELDS:
@@ -343,6 +353,7 @@ _CABLE_FIELDS = (
     "length_min", "length_max",
 )  # fmt: skip
 CAPSTAN_FRICTION_MAX = 2.0  # coefficients of cables on pulleys are below 1
+HYSTERESIS_SHARE_MAX = 0.02  # of the longest length: more is a wrong unit
 DRY_FIELDS = (
     "exit_friction", "anchor_friction", "capstan_friction", "length_hysteresis"
 )  # fmt: skip  # 0 where not given

@@ -164,6 +164,8 @@ def test_misspelt_sections_are_one_fault_each_whatever_follows_from_them():
         ("8.47185]}", "8.47185], sigma: [1, 2]}", "got [1, 2]; allowed: a length in m"),
         ("8.47185]}", "8.47185], covariance: [[1, 2, 0], [2, 1, 0], [0, 0, 1]]}", "semidefinite"),
         ("run_length: 8 m", "run_length: 8 m\n    drum: {radius: 75 mm}", "drum.buildup: missing"),
+        ("run_length: 8 m", "run_length: 8 m\n    length_hysteresis: 2",
+         "length_hysteresis[0]: got 2.0 m; allowed: length_hysteresis <= "),
         ("tension_limits: {min: 5 N, max: 500 N}", "", "chains[3].tension_limits: missing"),
         ("axial_stiffness: 0.95 MN", "axial_stiffness: 0.95 MN\n    area: 7 mm^2",
          "axial_stiffness: got axial_stiffness and area"),
