@@ -93,8 +93,8 @@ def rest_readings(recording: Recording, *, poses: bool = False) -> RestReadings:
     means: dict[str, tuple[Stamped | None, Mean]] = {
         "tension": (recording.tension, _mean),
         "attitude": (recording.attitude, _mean_rotation),
-        "inclination": (recording.inclination, _mean_angle),
-        "swivel_angle": (recording.swivel_angle, _mean_angle),
+        "inclination": (recording.inclination, mean_angle),
+        "swivel_angle": (recording.swivel_angle, mean_angle),
     }
     if poses and recording.poses is not None:
         measured = recording.poses
@@ -130,7 +130,7 @@ def rests_alone(recording: Recording) -> tuple[Recording, NDArray[np.int64]] | N
     sample, or where samples are so far apart that each is a rest.
 
     Args:
-        recording: With measured poses.
+        recording: As it was recorded; without measured poses there is none either.
     """
     time, length = recording.time, recording.unstrained_length
     if len(time) < 2 or np.median(np.diff(time)) >= REST_DURATION_MIN_S:
@@ -166,7 +166,7 @@ def _mean(value: Array) -> Array:
     return np.asarray(value.mean(axis=0))
 
 
-def _mean_angle(value: Array) -> Array:
+def mean_angle(value: Array) -> Array:
     """Return the mean of angles [rad], whatever turns they are counted in."""
     return np.asarray(np.arctan2(np.sin(value).mean(axis=0), np.cos(value).mean(axis=0)))
 

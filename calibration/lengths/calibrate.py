@@ -74,12 +74,14 @@ def calibrate_lengths(
     unknowns = find_unknowns(robot, known, relative=relative)
     if not unknowns.prior.names:
         raise InvalidField("settings", "priors of 0 for everything", "something to calibrate")
-    rests = None if recording.poses is None else rests_alone(recording.slice(start, end))
-    used, chosen = (recording, start + _spread(end - start)) if rests is None else rests
-    rows = slice(None) if rests else chosen
-    problem = LengthProblem(
-        unknowns, known, PosePath(used), used.time[rows], used.unstrained_length[rows]
-    )
+    rests = rests_alone(recording.slice(start, end))
+    if rests is None:
+        sample, measured = start + _spread(end - start), recording
+        time, reading = recording.time[sample], recording.unstrained_length[sample]
+    else:
+        measured, middle = rests
+        sample, time, reading = start + middle, measured.time, measured.unstrained_length
+    problem = LengthProblem(unknowns, known, PosePath(measured), time, reading)
     check_clock_and_frames(recording, robot)
     problem.freeze(unknowns.prior.mean)
     _check_samples(problem, robot)
@@ -91,7 +93,7 @@ def calibrate_lengths(
     state = fit(problem)
     seconds = perf_counter() - began
     _check_left(state, robot)
-    result = _result(problem, state, chosen if rests is None else start + chosen, seconds, relative)
+    result = _result(problem, state, sample, seconds, relative)
     if rests is None:
         return result
     note = "nothing moves between the rests of the recording: each of them counts as one sample"

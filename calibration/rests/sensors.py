@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calibration.lengths.settings import LengthSettings
-from calibration.rest_readings import RestReadings, rest_readings
+from calibration.rest_readings import RestReadings, mean_angle, rest_readings
 from calibration.rests.blunders import BLUNDER_SIGMAS, MISFIT_USELESS
 from calibration.rests.model import tension_noise
 from calibration.rests.settings import RestSettings
@@ -112,6 +112,7 @@ def calibrate_sensors(
         settings: Noise, and priors of the load cells. Nothing is taken to be known of angles.
         rotation_noise: Of a measured rotation, per axis [rad].
     """
+    material = calibrated(recording, robot)
     errors: list[SensorError] = []
     sentences: list[str] = []
     warnings: list[str] = []
@@ -123,7 +124,7 @@ def calibrate_sensors(
             sentences.append(f"{label}: not calibrated, as there is an AHRS")
             continue
         others: dict[str, Any] = dict.fromkeys(other for other in SENSORS if other != name)
-        alone = replace(recording, **others)
+        alone = replace(material, **others)
         rests = _rests(alone, robot, settings or RestSettings(), rotation_noise)
         fit, blunders = (rests, 0) if isinstance(rests, str) else _without_blunders(name, rests)
         if isinstance(fit, str):
@@ -156,8 +157,8 @@ def calibrate_sensors(
 def _rests(
     recording: Recording, robot: Robot, settings: RestSettings, rotation_noise: float
 ) -> _Rests | str:
-    """Return the rests at measured poses; why there are none where they are too few."""
-    readings = rest_readings(calibrated(recording, robot), poses=True)
+    """Return the rests of a material recording at measured poses; why not where they are few."""
+    readings = rest_readings(recording, poses=True)
     if len(readings.time) < RESTS_MIN:
         return (
             f"the recording has {counted(len(readings.time), 'rest')} with its readings and a "
@@ -241,7 +242,7 @@ def _swivel_angles(rests: _Rests) -> _Fit | str:
         return "the robot has no pulleys"
     predicted = swivel_angle(robot, -rests.equilibrium.exit_tension)[:, which]
     off = wrapped_angle(np.asarray(rests.readings.swivel_angle)[:, which] - predicted)
-    zero = np.arctan2(np.sin(off).mean(axis=0), np.cos(off).mean(axis=0))
+    zero = mean_angle(off)
     noise = rests.settings.swivel_noise
     return _Fit(
         names=tuple(f"swivel_offset[{robot.cable_names[i]}]" for i in which),
